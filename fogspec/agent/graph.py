@@ -5,6 +5,8 @@ import time
 from collections.abc import Generator
 from typing import Any, TypeVar
 
+from .ros import offers_reliably
+
 SETTLED_S, LATEST_S = 1.0, 8.0  # the graph is known once it has not changed for so long, or after this time
 CALL_S = 3.0  # for all nodes' parameters
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
@@ -72,7 +74,7 @@ class Graph:
                 "types": sorted(kinds),
                 "publishers": self._names(publishers),
                 "subscribers": self._names(subscribers),
-                "reliable": self.reliable(topic),
+                "reliable": offers_reliably(self.node, topic),
                 "latched": any(int(one.qos_profile.durability) == 1 for one in publishers),
             }
         return found
@@ -81,11 +83,6 @@ class Graph:
         names = {full_name(one.node_namespace, one.node_name) for one in endpoints if one.node_name != UNKNOWN}
         self.whole = self.whole and all(one.node_name != UNKNOWN for one in endpoints)
         return sorted(names - {self.own})
-
-    def reliable(self, topic: str) -> bool:
-        """Return whether all publishers of a topic are reliable."""
-        publishers = self.node.get_publishers_info_by_topic(topic)
-        return bool(publishers) and all(int(one.qos_profile.reliability) == 1 for one in publishers)
 
     def find_offers(self) -> None:
         """Add services and actions by name, each with its type, servers and callers, to those that were there before."""

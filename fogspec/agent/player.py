@@ -22,7 +22,7 @@ from typing import Any
 from .bag import BagError, Message, messages
 from .matching import stamp_of, with_stamp
 from .records import VERDICT, Condition, Stamp, Writer
-from .ros import listening_qos, message_of, need_rclpy, type_of
+from .ros import listening_qos, message_of, need_rclpy, offers_reliably, type_of
 
 START_S = 120.0
 SETTLE_S = 0.5
@@ -113,7 +113,8 @@ class Topics:
             ):
                 self.responses += 1
 
-        self.node.create_subscription(message_type, topic, received, listening_qos(), raw=True)
+        quality = listening_qos(offers_reliably(self.node, topic))
+        self.node.create_subscription(message_type, topic, received, quality, raw=True)
 
     def _wait(self, there: Callable[[], bool], verb: str, topic: str) -> None:
         import rclpy

@@ -18,6 +18,7 @@ RESTARTED = "FOGSPEC_LOOKED_FOR_RCLPY"
 DOMAINS = range(1, 102)  # those whose ports are below Linux's ephemeral ones
 FIRST_PORT, PORTS_A_DOMAIN, FIRST_UNICAST = 7400, 250, 10  # RTPS 2.5, 9.6.2.3: what discovery listens on
 PARTICIPANTS = 10
+RELIABLE = 1  # of rmw_qos_reliability_policy_t
 
 
 def need_rclpy(module: str, arguments: Sequence[str]) -> None:
@@ -82,8 +83,20 @@ def message_of(kind: str) -> tuple[Any, bool]:
     return message_type, first == HEADER
 
 
-def listening_qos() -> Any:
-    """Return a best-effort quality of service, which receives from reliable publishers too."""
+def listening_qos(reliable: bool = False) -> Any:
+    """Return a quality of service to listen with: best effort, which receives from reliable publishers too, or reliable."""
     from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-    return QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
+
+
+def offered(node: Any, topic: str) -> list[bool]:
+    """Return of each publisher of a topic that is known whether it is reliable."""
+    return [int(one.qos_profile.reliability) == RELIABLE for one in node.get_publishers_info_by_topic(topic)]
+
+
+def offers_reliably(node: Any, topic: str) -> bool:
+    """Return whether a topic is published, and all that publish it do so reliably."""
+    found = offered(node, topic)
+    return bool(found) and all(found)

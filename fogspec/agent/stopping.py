@@ -15,7 +15,7 @@ from .intervals import LEVEL, STRICT, Interval, interval
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
 LINE_LIMIT = 2**16
-NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning", "hold"}
+NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning", "hold", "missed"}
 MOST_PROCESSES = 10_000  # that are told apart
 OTHER_NAMES = 5
 LEAST = 10  # valid requests before the first check

@@ -22,7 +22,7 @@ from typing import Any
 from .holding import HELD, Held
 from .matching import HEADER, Matcher, stamp_of
 from .records import Condition, Done, Stamp, Writer, field_of
-from .ros import listening_qos, message_of, need_rclpy
+from .ros import listening_qos, message_of, need_rclpy, offered
 from .stopping import mistyped
 
 DISCOVERY_S = 0.2
@@ -49,12 +49,32 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
+class Numbers:
+    """How many messages of one publisher came, and how many it sent from the first of them on."""
+
+    def __init__(self) -> None:
+        self.heard = self.sent = self.last = 0
+
+    def take(self, number: Any) -> None:
+        """Take the number of a message; a middleware that does not number them gives none, or the largest there is."""
+        if isinstance(number, int) and 0 < number < 2**63:
+            self.heard += 1
+            self.sent += number - self.last if 0 < self.last < number else 1
+            self.last = number
+
+
 class Listener:
-    """Subscribe to each topic as soon as it is published, and report those that are not."""
+    """Subscribe to each topic as soon as it is known, and report those that are not published.
+
+    Reliably, unless one publishes it with best effort: of large messages, a best-effort subscription gets few as a whole.
+    """
 
     def __init__(self, node: Any, writer: Writer) -> None:
         self.node, self.writer = node, writer
         self.missing: dict[str, Callable[[Any, bool], Callable[[bytes], None]]] = {}
+        self.subscriptions: dict[str, tuple[Any, bool, Callable[[bytes], None]]] = {}
+        self.numbers: dict[str, Numbers] = {}
+        self.missed: dict[str, int] = {}
         self.started_s = time.monotonic()
         self.complete_s = float("inf")
         self.reported: list[str] = []
@@ -64,7 +84,14 @@ class Listener:
         self.missing[topic] = make
 
     def subscribe(self) -> None:
-        """Subscribe to the topics that are published now."""
+        """Subscribe to the topics that are known now."""
+        for topic, (subscription, reliable, received) in list(self.subscriptions.items()):
+            if reliable and not all(
+                offered(self.node, topic)
+            ):  # such a publisher was discovered since: none of it was heard
+                self.node.destroy_subscription(subscription)
+                self._subscribe(topic, subscription.msg_type, received)
+                self.complete_s = self.complete_s if self.missing else time.monotonic()
         if not self.missing:
             return
         known = dict(self.node.get_topic_names_and_types())
@@ -73,7 +100,7 @@ class Listener:
                 sys.exit(f"{topic} is published with more than one type: {', '.join(known[topic])}")
             message_type, has_header = message_of(known[topic][0])
             received = self.missing.pop(topic)(message_type, has_header)
-            self.node.create_subscription(message_type, topic, received, listening_qos(), raw=True)
+            self._subscribe(topic, message_type, received)
         if not self.missing:
             self.complete_s = time.monotonic()
             if self.reported:
@@ -81,6 +108,31 @@ class Listener:
         elif [*self.missing] != self.reported and time.monotonic() - self.started_s > PATIENCE_S:
             self.reported = [*self.missing]
             self.unpublished(self.reported)
+
+    def _subscribe(self, topic: str, message_type: Any, received: Callable[[bytes], None]) -> None:
+        numbers, reliable = self.numbers.setdefault(topic, Numbers()), all(offered(self.node, topic))
+        numbers.last = 0
+
+        def numbered(message: bytes, info: Any) -> None:
+            numbers.take(info.get("publication_sequence_number"))
+            received(message)
+
+        quality = listening_qos(reliable)
+        subscription = self.node.create_subscription(message_type, topic, numbered, quality, raw=True)
+        self.subscriptions[topic] = subscription, reliable, received
+
+    def report_missed(self, topics: list[str]) -> None:
+        """Write how many messages did not come on each of these topics, where there are more than before.
+
+        Numbers of several publishers say nothing.
+        """
+        for topic in topics:
+            numbers = self.numbers.get(topic, Numbers())
+            if self.node.count_publishers(topic) > 1:
+                numbers.sent = numbers.heard
+            elif (missed := numbers.sent - numbers.heard) > self.missed.get(topic, 0):
+                self.missed[topic] = missed
+                self.writer.line({"missed": missed, "topic": topic, "sent": numbers.sent})
 
     def unpublished(self, topics: list[str]) -> None:
         """Write that no node publishes these topics, with the nearest of those that one publishes."""
@@ -134,6 +186,7 @@ class Latencies:
         """Write the requests that are lost by now, warnings and hints."""
         matcher, options = self.matcher, self.options
         self._write_lost(matcher.expire(now_s))
+        self.listener.report_missed([options.request, options.response])
         if self.held is not None and (told := self.held.look(now_s, self._is_held())) is not None:
             self.writer.line(told)
         if matcher.answered >= self.warn_at:

@@ -25,7 +25,7 @@ from .graph import Graph, full_name, parameters
 from .matching import stamp_of
 from .recording import Bag
 from .robot_processes import Processes
-from .ros import listening_qos, message_of, need_rclpy, type_of
+from .ros import listening_qos, message_of, need_rclpy, offers_reliably, type_of
 
 VERSION = 1
 NAME = "fogspec_watch"
@@ -118,16 +118,13 @@ class Listener:
 
     def _insist(self, now_s: float) -> None:
         """Subscribe reliably to topics of reliable publishers from which nothing came for a while."""
-        from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-
         waited = [topic for topic, since_s in self.insist.items() if now_s - since_s > SILENT_S]
         for topic in waited:
             del self.insist[topic]
             if topic not in self.subscriptions or self.bytes[topic]:
                 continue
             old, has_header, taken = self.subscriptions[topic]
-            quality = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-            new = self.node.create_subscription(old.msg_type, topic, _never, quality, raw=True)
+            new = self.node.create_subscription(old.msg_type, topic, _never, listening_qos(reliable=True), raw=True)
             self.node.destroy_subscription(old)
             self.subscriptions[topic] = new, has_header, taken
 
@@ -370,7 +367,7 @@ def record(options: argparse.Namespace) -> None:
     bag = Bag(Path(options.bag), options.bytes)
     for topic in options.topic:
         bag.add(topic, known[topic][0])
-        listener.want(topic, known[topic][0], bag.write, insist=graph.reliable(topic))
+        listener.want(topic, known[topic][0], bag.write, insist=offers_reliably(graph.node, topic))
     for _ in listener.run(options.seconds, bag.full):
         bag.base.commit()
     bag.close()

@@ -104,9 +104,10 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
         return "failed", status.reason, status.detail
     if (beyond := requests.out_of_range or _escaped(status)) is not None:
         return "failed", "out_of_range", beyond
-    if failed and n < rules.valid * (n + failed):
+    unheard = _unheard(requests, rules)
+    if not unheard and failed and n < rules.valid * (n + failed):
         return "failed", "check", _failures(requests, rules)
-    if (wrong := _unclear(requests, rules)) is not None:
+    if (wrong := unheard or _unclear(requests, rules)) is not None:
         return "failed", "not_reported", wrong
     if not n and requests.unweighted:
         named = ", ".join(rules.scenarios)
@@ -145,6 +146,15 @@ def _failures(requests: Requests, rules: RecordRules) -> str:
     if requests.balance.lost and requests.strays:
         parts.append(_strays(requests, rules))
     return "; ".join(parts)
+
+
+def _unheard(requests: Requests, rules: RecordRules) -> str | None:
+    """Return what the probe missed of a topic, if that is more than may fail: the node had it."""
+    for topic, (missed, sent) in requests.missed.items():
+        if missed > (1 - rules.valid) * sent:
+            heard = f"the probe heard {max(sent - missed, 0)} of {sent} messages on {topic}, and the middleware lost the others"
+            return f"{heard} on their way to it: spec.probe.via: preload times them inside of the node"
+    return None
 
 
 def _strays(requests: Requests, rules: RecordRules) -> str:

@@ -84,6 +84,7 @@ class Requests:
     Of the starts that `fogspec_probe` writes: `balance` has the lost ones, which are among the failed, and those under way when
     the timings end, whose time so far is among the latencies; `strays` of the unmatched ends have no start, for the reason
     `first_stray`.
+    `missed` are, by topic, the messages that the probe did not hear, and all that were sent meanwhile.
     `commands` have the latencies by the command of the spec that timed them; `cold` are requests within the warm-up of one of
     the `processes`. `spans` are those after it, in the order they came.
     """
@@ -103,6 +104,7 @@ class Requests:
     balance: Balance = field(default_factory=Balance)
     strays: int = 0
     first_stray: str | None = None
+    missed: dict[str, tuple[int, int]] = field(default_factory=dict)
     cold: int = 0
     processes: int = 0
     commands: dict[str, list[float]] = field(default_factory=dict)
@@ -198,6 +200,15 @@ def _look(entry: dict[str, object], rules: RecordRules, requests: Requests, acco
         if "process" in entry and rules.callback == name:
             requests.strays += 1
             requests.first_stray = requests.first_stray or _text(entry.get("reason"))
+    elif "missed" in entry:
+        topic, missed, sent = _text(entry.get("topic")), entry["missed"], entry.get("sent")
+        if (
+            topic
+            and _is_count(missed)
+            and _is_count(sent)
+            and (topic in requests.missed or len(requests.missed) < OTHER_NAMES)
+        ):
+            requests.missed[topic] = missed, sent
     elif "open" in entry and rules.callback == name and _is_count(number):
         start_s = _in_range("start_s", entry.get("start_s"), CLOCK_S)
         if start_s is not None:

@@ -350,6 +350,21 @@ def test_lost_requests_failed_and_foreign_responses_are_counted(tmp_path):
     assert str(made.detail).startswith("3 responses belong to no request, beside 10 requests")
 
 
+def test_what_the_probe_did_not_hear_is_not_what_the_node_missed(tmp_path):
+    lost = [probed(n, 0.0) | {"ok": False, "lost": True, "reason": "no response"} for n in range(10, 20)]
+    heard, missed = [probed(n, 0.5) for n in range(10)], {"missed": 12, "topic": "/pose", "sent": 20}
+    made = record(tmp_path, *heard, *lost, missed | {"missed": 4}, missed, rules=PROBED)
+    assert (made.state, made.reason) == ("failed", "not_reported")
+    assert str(made.detail).startswith(
+        "the probe heard 8 of 20 messages on /pose, and the middleware lost the others on"
+    )
+    assert record(tmp_path, *heard, missed | {"missed": 1, "sent": 40}, rules=PROBED).state == "ok", (
+        "as many as may fail"
+    )
+    for wrong in ({"missed": -4}, {"missed": "10"}, {"topic": 3}, {"sent": None}, {"sent": 1e300}):
+        assert record(tmp_path, *heard, missed | wrong, rules=PROBED).state == "ok", wrong
+
+
 def test_waiting_is_told_from_working(tmp_path):
     made = record(tmp_path, probed(0, 0.5, 0.5), probed(0.1, 0.9, 0.5), rules=PROBED)
     assert (made.latency.mean, made.service.mean, made.detail) == (pytest.approx(0.7), 0.5, None)
