@@ -39,13 +39,13 @@ def arrivals_in(
         except InvalidInput:  # `check` says so
             continue
         requests = parse_requests(io.BytesIO(content), rules)
-        if requests.latencies_s:
-            found[record.id] = arrivals_of(record, requests, rules, requests_per_s)
+        if requests.latencies_s and (one := arrivals_of(record, requests, rules, requests_per_s)) is not None:
+            found[record.id] = one
     return found
 
 
-def arrivals_of(record: Measured, requests: Requests, rules: RecordRules, requests_per_s: float) -> Arrivals:
-    """Return the arrivals of a sample with at least one valid request."""
+def arrivals_of(record: Measured, requests: Requests, rules: RecordRules, requests_per_s: float) -> Arrivals | None:
+    """Return the arrivals of a sample with at least one valid request; None for figures that nothing can be reckoned with."""
     if not one_by_one(requests):
         sent_per_s = _sent_per_s(requests)
         slower = sent_per_s < SLOWER * requests_per_s
@@ -57,17 +57,23 @@ def arrivals_of(record: Measured, requests: Requests, rules: RecordRules, reques
     mean_s = record.latency.mean if record.latency is not None else 0.0
     open_s = requests.busy_s(mean_s)
     times_s = np.array([one.open_s for one in requests.spans])
+    if not open_s > 0:
+        return None
     # What the machine does after a request, for as long as the sample's bill says.
-    between_s = float(times_s.mean()) * max((record.busy or 0.0) / open_s - 1, 0.0) if open_s else 0.0
+    between_s = float(times_s.mean()) * max((record.busy or 0.0) / open_s - 1, 0.0)
     share = QUANTILES.get(rules.statistic)
     counts = [one.valid if share is None else one.waited for one in requests.spans]
     shares = np.zeros(len(times_s))
     kinds = [one.scenario for one, count in zip(requests.spans, counts, strict=True) if count]
     shares[counts] = weights(kinds, rules.scenarios)
-    errors = errors_of(at_rate(requests, requests_per_s, between_s), rules.scenarios)
+    with np.errstate(all="ignore"):
+        found = table(times_s, between_s, shares, share)
+        errors = errors_of(at_rate(requests, requests_per_s, between_s), rules.scenarios)
+    if not (np.isfinite(found).all() and (np.diff(found) > 0).all()):
+        return None
     return Arrivals(
         requests_per_s=requests_per_s,
-        table=tuple(table(times_s, between_s, shares, share).tolist()),
+        table=tuple(found.tolist()),
         error=errors.get(rules.statistic, ERROR.most),
     )
 

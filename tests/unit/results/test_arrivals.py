@@ -40,7 +40,9 @@ def found(folder: Path, content: bytes, rate: float = 10.0, **more: object) -> t
     record = measured(folder, content, **more)  # type: ignore[arg-type]
     names = {"statistic", "timeout_s", "valid", "scenarios", "workload"}
     own = rules(**{name: value for name, value in more.items() if name in names})
-    return record, arrivals_of(record, parse_requests(io.BytesIO(content), own), own, rate)
+    arrivals = arrivals_of(record, parse_requests(io.BytesIO(content), own), own, rate)
+    assert arrivals is not None
+    return record, arrivals
 
 
 def latency_at_rate(record: Measured, arrivals: Arrivals, statistic: str = "mean") -> float:
@@ -98,8 +100,9 @@ def test_work_after_the_answer_delays_the_next_request(tmp_path: Path) -> None:
     requests = parse_requests(io.BytesIO(written(spans)), rules())
     record = measured(tmp_path, written(spans))
     short, long = (arrivals_of(record.model_copy(update={"busy": s}), requests, rules(), 10.0) for s in (0.09, 0.099))
+    assert short is not None
+    assert long is not None
     assert short.table is not None
-    assert long.table is not None
     assert short.table[-1] > 1.0, "with both, it is busy for 90 ms of 100, and some wait"
     assert long.table != short.table
 
@@ -120,6 +123,30 @@ def test_an_observation_at_a_rate_errs_as_its_waiting_does(tmp_path: Path) -> No
     (alone,), _ = partition([record], "mean")
     assert busy.errors["latency"] >= alone.errors["latency"]
     assert arrivals.error > 2 * alone.errors["latency"]
+
+
+@pytest.mark.parametrize(
+    ("times_s", "busy_s"),
+    [
+        ([0.0] * 40, None),
+        ([0.0] * 39 + [1e-9], 1e6),
+        ([1e-300] * 40, 1e6),
+        ([1e6] * 40, 5e-324),
+        ([1e-9, 1e6] * 20, 1e-9),
+        ([0.02] * 40, 1e6),
+    ],
+)
+@pytest.mark.parametrize("rate", [1e-9, 10.0, 1e9])
+def test_edited_figures_break_nothing(tmp_path: Path, times_s: list[float], busy_s: float | None, rate: float) -> None:
+    content = written(one_after_the_other(times_s))
+    record = measured(tmp_path, written(one_after_the_other([0.02] * 40))).model_copy(update={"busy": busy_s})
+    for statistic in ("mean", "p95"):
+        own = rules(statistic)
+        arrivals = arrivals_of(record, parse_requests(io.BytesIO(content), own), own, rate)
+        if arrivals is not None:
+            choice, _ = chosen(record, arrivals, declared(rate, 0.2, 0.9))
+            assert not np.isnan(choice.latency.value).any()
+            assert choice.best is None or choice.latency.value[choice.best] > 0
 
 
 def test_timings_that_are_not_there_tell_nothing(tmp_path: Path) -> None:
