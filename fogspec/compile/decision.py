@@ -312,14 +312,14 @@ def caveats(models: Fitted, choice: Choice) -> list[Warned]:
 
 
 def _waits(choice: Choice, row: int) -> list[Warned]:
-    """Return how much longer requests take at the declared rate, where a machine that keeps up lets them wait."""
+    """Return how much longer requests take at the declared rate, where they wait for one another."""
     one, latency_s = choice.rule.take(np.array([row])), choice.latency.value[[row]]
     alone_s, rate = one.alone(latency_s), one.costs.requests_per_s
     late, work = (latency_s / alone_s)[0] > WAITED, (alone_s * one.costs.busy_ratio)[0] * (rate or 0.0)
-    if rate is None or not late or work > 1:
+    if rate is None or not (late or work > 1):
         return []
-    latency, alone = float(latency_s[0]), float(alone_s[0])
-    return [warned(codes.waits, machine=str(one.names[0]), requests_per_s=rate, latency_s=latency, alone_s=alone)]
+    latency, alone = None if work > 1 else float(latency_s[0]), float(alone_s[0])
+    return [warned(codes.waits, machine=str(one.names[0]), requests_per_s=rate, alone_s=alone, latency_s=latency)]
 
 
 def _rate_unknown(models: Fitted, requests_per_s: float) -> list[Warned]:

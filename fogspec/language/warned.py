@@ -114,10 +114,14 @@ def error_unknown(*, samples: list[str], statistic: str) -> str:
     )
 
 
-def waits(*, machine: str, requests_per_s: float, latency_s: float, alone_s: float) -> str:
-    """Warn of requests that wait for one another at the declared rate."""
-    took, alone = shown_duration(latency_s), shown_duration(alone_s)
-    return f"{machine}: at {format_rate(requests_per_s)}, evenly spaced, requests wait for one another: {took}, not {alone}"
+def waits(*, machine: str, requests_per_s: float, alone_s: float, latency_s: float | None = None) -> str:
+    """Warn of requests that wait for one another at the declared rate; without a latency, ever longer."""
+    at_rate, alone = f"{machine}: at {format_rate(requests_per_s)}", shown_duration(alone_s)
+    if latency_s is None:
+        return (
+            f"{at_rate}, requests come faster than it answers them, and wait ever longer: one by one they take {alone}"
+        )
+    return f"{at_rate}, evenly spaced, requests wait for one another: {shown_duration(latency_s)}, not {alone}"
 
 
 def rate_unknown(*, samples: list[str], requests_per_s: float, sent_per_s: float | None = None) -> str:
