@@ -86,9 +86,8 @@ class Listener:
     def subscribe(self) -> None:
         """Subscribe to the topics that are known now."""
         for topic, (subscription, reliable, received) in list(self.subscriptions.items()):
-            if reliable and not all(
-                offered(self.node, topic)
-            ):  # such a publisher was discovered since: none of it was heard
+            # A publisher with best effort was discovered since: none of it was heard.
+            if reliable and not all(offered(self.node, topic)):
                 self.node.destroy_subscription(subscription)
                 self._subscribe(topic, subscription.msg_type, received)
                 self.complete_s = self.complete_s if self.missing else time.monotonic()

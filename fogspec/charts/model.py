@@ -121,7 +121,11 @@ def _series(
         value, own = one.values.get(metric or "latency", 0.0), one.machine.instance
         if _gpu_of(one.machine) == gpu and value > 0 and line(own) not in measured:
             wide = math.exp(t * one.errors.get("latency", DEFAULT_NOISE))
-            found.append(dot(own, one.machine.cpus, value, None if metric else (value / wide, value * wide), True))
+            if metric:
+                found.append(dot(own, one.machine.cpus, value, None, True))
+            else:
+                low, value, high = map(one.at_rate, (value / wide, value, value * wide))
+                found.append(dot(own, one.machine.cpus, value, (low, high), True))
     return Series("no GPU" if gpu is None else f"{number:g} {line(name)}", gpu is not None, found)
 
 

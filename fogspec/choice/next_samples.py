@@ -13,7 +13,7 @@ from fogspec.choice.choose import Choice, choose
 from fogspec.choice.outlook import Outlook, chances, deciding, outlook
 from fogspec.choice.rule import Utility
 from fogspec.language.schema import Application
-from fogspec.model.fit import NONE, is_proxy, partition, targets
+from fogspec.model.fit import NO_ARRIVALS, is_proxy, partition, targets
 from fogspec.model.predict import PredictionSet, predict_from
 from fogspec.numerics.acquisition import Policy, expected_gains, propose_batch
 from fogspec.numerics.priors import PriorData
@@ -31,7 +31,7 @@ def next_samples(
     left_usd: float = np.inf,
     library: PriorData | None = None,
     batch: int = 1,
-    arrivals: Mapping[str, Arrivals] = NONE,
+    arrivals: Mapping[str, Arrivals] = NO_ARRIVALS,
 ) -> NextBatch:
     """Return the offers to measure next, or none with the reason why sampling ends.
 

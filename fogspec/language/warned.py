@@ -128,7 +128,7 @@ def rate_unknown(*, samples: list[str], requests_per_s: float, sent_per_s: float
     """Warn of samples that do not say how long requests wait at the declared rate."""
     rate, named = format_rate(requests_per_s), ", ".join(samples)
     if sent_per_s is None:
-        return f"how long requests wait at {rate} is not known for {named}: their raw timings are not there"
+        return f"how long requests wait at {rate} is not known for {named}: no raw timings of them tell it"
     sent = f"several at a time, {shown(sent_per_s)} a second"
     return (
         f"how long requests wait at {rate} is not known for {named}, where they were sent {sent}: send them as fast, or one "

@@ -27,7 +27,7 @@ from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.surrogate import VERSION
-from fogspec.numerics.waiting import steepness
+from fogspec.numerics.waiting import Waiting, steepness
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.ranges import ERROR, LATENCY_S
 from fogspec.results.resources import at_work, contended
@@ -36,7 +36,7 @@ from fogspec.results.schema import Arrivals, Measured, Results
 # Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
 # measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data).
 SERVER_ERROR = 0.015
-NONE: Mapping[str, Arrivals] = MappingProxyType({})
+NO_ARRIVALS: Mapping[str, Arrivals] = MappingProxyType({})
 
 
 class PaperFit(Strict):
@@ -98,6 +98,14 @@ class Observation:
     busy_ratio: float = 1.0
     at_work: float = 1.0
     arrivals: Arrivals | None = None
+
+    def at_rate(self, latency_s: float) -> float:
+        """Return the latency at the declared rate for one of requests as they were measured, as far as that is known."""
+        if self.arrivals is None or self.arrivals.table is None:
+            return latency_s
+        busy_always_s = 1 / (self.arrivals.requests_per_s * self.busy_ratio)
+        own = Waiting(np.array([self.arrivals.table]), np.zeros(1, dtype=np.int64), np.array([busy_always_s]))
+        return float(own.at_rate(np.array([latency_s]))[0])
 
     @property
     def tells(self) -> bool:
@@ -243,7 +251,7 @@ def is_proxy(application: Application, known: Sequence[Observation]) -> bool:
 
 
 def partition(
-    records: Sequence[Measured], statistic: Statistic, arrivals: Mapping[str, Arrivals] = NONE
+    records: Sequence[Measured], statistic: Statistic, arrivals: Mapping[str, Arrivals] = NO_ARRIVALS
 ) -> tuple[list[Observation], list[RejectedSample]]:
     """Split the records, of which these `arrivals` are known by id, into observations and rejected samples."""
     entries = [_observation(record, statistic, arrivals.get(record.id)) for record in records]

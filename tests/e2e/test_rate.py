@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from tests.support import scenes
 from tests.support.scenes import Scene
 
 WORK = """\
@@ -12,24 +13,13 @@ for n in itertools.count():
     time.sleep(0.004 if n % 5 else 0.074)  # 18 ms on average
     fogspec_probe.stop("work")
 """
-SPEC = """\
-apiVersion: fogspec.dev/v1alpha1
-kind: Application
-metadata: {name: tiny}
-spec:
-  cloud:
-    - cmd: [python3, work.py]
-  probe: {callback: work}
-  constraints: {latency: 36ms, confidence: none}
-  objective: {load: {rate: 50/s}}
-  hardware: {cpus: 1..4, memory: 1GiB..16GiB}
-  infra: [local]
-  benchmark:
-    machines: [local/1cpu-1gib]
-    warmup: 1
-    ready_timeout: 1min
-    stop: {requests: 100, duration: 1min}
-"""
+SPEC = (
+    scenes.SPEC.replace("latency: 1s, cost: $1/request", "latency: 36ms")
+    .replace("  infra: [aws/us-east-1]", "  infra: [local]\n  objective: {load: {rate: 50/s}}")
+    .replace(", allow: [c6i.*, m6i.*, c7i.*]", "")
+    .replace(", local/2cpu-1gib", "")
+    .replace("requests: 10,", "requests: 100,")
+)
 
 
 def test_requests_that_would_wait_for_one_another_take_longer(tmp_path: Path) -> None:
@@ -54,6 +44,5 @@ def test_requests_that_would_wait_for_one_another_take_longer(tmp_path: Path) ->
         path.unlink()
     lost = scene.run("compile")
     assert (
-        "how long requests wait at 20/s is not known for local-1cpu-1gib: their raw timings are not there"
-        in lost.stdout
+        "how long requests wait at 20/s is not known for local-1cpu-1gib: no raw timings of them tell it" in lost.stdout
     )

@@ -48,8 +48,7 @@ def found(folder: Path, content: bytes, rate: float = 10.0, **more: object) -> t
 def latency_at_rate(record: Measured, arrivals: Arrivals, statistic: str = "mean") -> float:
     """What a choice reckons for the machine that was measured."""
     (one,), _ = partition([record], statistic, {record.id: arrivals})  # type: ignore[arg-type]
-    busy_always_s = 1 / (arrivals.requests_per_s * one.busy_ratio)
-    return float(np.interp(one.values["latency"] / busy_always_s, BUSY, arrivals.table or ())) * busy_always_s
+    return one.at_rate(one.values["latency"])
 
 
 def test_requests_one_after_the_other_wait_at_the_declared_rate(tmp_path: Path) -> None:
@@ -219,7 +218,7 @@ def test_requests_at_the_rate_are_those_of_a_deployment() -> None:
 @pytest.mark.parametrize(
     ("arrivals", "said"),
     [
-        (None, "is not known for one: their raw timings are not there"),
+        (None, "is not known for one: no raw timings of them tell it"),
         (
             Arrivals(requests_per_s=10.0, table=None, sent_per_s=4.0),
             "where they were sent several at a time, 4 a second",
