@@ -119,7 +119,8 @@ class SampleStatus:
     that file is not here yet. Once `running` is False, everything worth keeping is in the job's directory, and every later
     poll, from any process, returns the same. `again` tells whether a retry can help. `lost` means that the outcome is unknown:
     the job was never started, or its results are out of reach; the sample is measured again. `recorded` is a record made
-    elsewhere that replaces `timings`, and `billed_s` the billed time if that is not the elapsed time.
+    elsewhere that replaces `timings`. `billed_s` is the billed time if that is not the elapsed time, and 0 only where it is
+    certain that there was no machine.
     """
 
     running: bool
@@ -245,8 +246,8 @@ class Backend(Protocol[StatusT]):
     def stop(self, job: Job) -> int | None:
         """Stop the job and everything it started, and verify that nothing is left; idempotent.
 
-        Raise Unreachable if that could not be verified. Return how many machines there were, if the provider says so: each is
-        paid, even if its launch failed.
+        Raise Unreachable if that could not be verified. Return how many machines there were, or None if the provider does not
+        say: each is paid, even if its launch failed.
         """
         ...
 

@@ -13,6 +13,7 @@ from fogspec.results.schema import Reason
 STOP_BACKOFF_S = 30.0
 STOP_PATIENCE_S = 900.0
 NO_ACCESS_PATIENCE_S = 180.0
+NO_MACHINE: tuple[Reason, ...] = ("access", "quota", "capacity")  # what is said where a machine cannot be had
 
 
 @dataclass(slots=True, kw_only=True)
@@ -24,7 +25,7 @@ class Attempt:
     to measure. `end` is the final status, from when the machine is to be stopped. `gone_s` is when it was looked for, after
     its longest time was over, and had ended by itself. `silent_s` is since when the backend could not reach it,
     `stops` how often it was stopped without success, `stop_after_s` when to try again and `give_up_s` when no longer.
-    `machines` is how many its provider says that there were; 0 if it does not say.
+    `machines` is how many its provider says that there were; None if it does not say.
     """
 
     started: LaunchRecord
@@ -39,7 +40,7 @@ class Attempt:
     stop_after_s: float = 0.0
     give_up_s: float | None = None
     stops: int = 0
-    machines: int = 0
+    machines: int | None = None
 
     @property
     def has_no_access(self) -> bool:
@@ -106,13 +107,16 @@ class Attempt:
         its provider says there was, and no less than its cloud bills.
 
         The end of one that ended during an absence was not observed: it came after the longest time that was committed at the
-        latest, or when the request of an earlier controller to end it was carried out. That nothing is paid is not believed
-        of a machine that was seen to measure, or that its provider lists.
+        latest, or when the request of an earlier controller to end it was carried out. Nothing is paid where it is certain that
+        there was no machine, or where none could be had and its provider, which lists those that have ended, has none. Neither
+        is believed of a machine that was seen to measure.
         """
         if end.billed_s is not None and (end.billed_s > 0 or not (self.was_ready or self.machines)):
             return end.billed_s
+        if self.machines == 0 and end.reason in NO_MACHINE and not (self.was_ready or self.is_resumed):
+            return 0.0
         least_s = cloud_of(self.started.sample.machine.infra).least_s
-        return max(self._paid_s(clock), least_s) * max(self.machines, 1)
+        return max(self._paid_s(clock), least_s) * (self.machines or 1)
 
     def _paid_s(self, clock: Clock) -> float:
         passed_s = self.started.passed_s(clock)

@@ -288,7 +288,7 @@ class Campaign:
     def _stopped(self, attempt: Attempt) -> bool:
         """Stop the attempt; return whether its machine is verified gone."""
         try:
-            attempt.machines = self.backend.stop(attempt.job) or 0
+            attempt.machines = self.backend.stop(attempt.job)
         except Unreachable as lost:
             # Clouds take a while; the reason matters only if it takes long.
             detail = str(lost) if attempt.stops >= SLOW_STOPS else None

@@ -189,7 +189,7 @@ def skypilot_samples(folder: Path) -> Bed:
         return sample(folder, machine(instance, "slurm/lab/small"), run)
 
     big = job("9999CPU--1GB")
-    cloud.refused[big.name] = CloudProblem("capacity", "no partition has 9999 CPUs")
+    cloud.refused[big.name] = CloudProblem("capacity", "no partition has 9999 CPUs", refused=True)
 
     def make() -> SkyPilotSamples:
         return SkyPilotSamples(SimulatedClient(cloud))  # type: ignore[arg-type]

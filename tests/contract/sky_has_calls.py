@@ -2,6 +2,7 @@
 
 import inspect
 import json
+from pathlib import Path
 
 import sky
 from sky import exceptions, global_user_state, provision, skypilot_config
@@ -40,6 +41,17 @@ names = ("ClusterDoesNotExist", "ResourcesUnavailableError", "NoCloudAccessError
          "ClusterSetUpError", "CommandError", "NetworkError", "RequestInterruptedError", "ServerTemporarilyUnavailableError",
          "ClusterStatusFetchingError", "FetchClusterInfoError", "SkyletUnavailableError", "ExecutionRetryableError",
          "ConcurrentWorkerExhaustedError", "ResourcesMismatchError", "NotSupportedError", "InvalidClusterNameError",
-         "ProvisionUnsupportedError", "ClusterNotUpError", "SkyletInternalError")  # fmt: skip
+         "ProvisionUnsupportedError", "ClusterNotUpError", "SkyletInternalError", "CloudUserIdentityError")  # fmt: skip
+# What it logs before it tries a place, and where the provider refused to create a machine: fogspec/backends/skypilot/errors.py.
+LOGGED = {
+    "backends/cloud_vm_ray_backend.py": "f'Launching{controller_str} on '",
+    "provision/aws/instance.py": "f'create_instances: Attempt failed with {",
+    "provision/azure/instance.py": "f'Failed to create instances: {",
+    "provision/gcp/instance_utils.py": "f'Got return code{plural} {codes}",
+    **dict.fromkeys((f"provision/{one}/instance.py" for one in ("lambda_cloud", "nebius", "runpod", "vast")),
+                    "f'run_instances error: {"),
+}  # fmt: skip
+package = Path(sky.__file__).parent
+names += tuple(f"{path}: {words}" for path, words in LOGGED.items() if words not in (package / path).read_text())
 missing = [name for name in names if not hasattr(exceptions, name)]
 print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY)}))

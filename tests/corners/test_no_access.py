@@ -18,7 +18,7 @@ from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.running import Ended, Shell, measure, project, shell, spec  # noqa: F401
 
 AT = ("--catalog", "offers.csv")
-DENIED = CloudProblem("access", "NoCloudAccessError: the security token included in the request is expired")
+DENIED = CloudProblem("access", "NoCloudAccessError: the security token in the request is expired", refused=True)
 WORK = """\
 import time
 import fogspec_probe
@@ -83,7 +83,7 @@ def test_a_launch_that_is_denied_ends_the_bench_without_a_record(shell: Shell, c
     """What SkyPilot remembers of the login was true once."""
     cloud.fails = lambda asked, _words: DENIED if asked == op else None
     said = bench(shell, code=6)
-    assert "the security token included in the request is expired" in said.err
+    assert "the security token in the request is expired" in said.err
     assert not (shell.folder / "results").exists()
     journal = [json.loads(line) for line in shell.read(".fogspec/demo/journal.jsonl").splitlines()]
     assert [one["spent_usd"] for one in journal if one["do"] == "end"]

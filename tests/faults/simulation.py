@@ -17,11 +17,13 @@ from fogspec.bench.journal import Journal
 from fogspec.plan.commitment import machine_s
 from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
-from fogspec.results.schema import Measured, is_final
+from fogspec.results.schema import Measured, Reason, is_final
 
 OWNER = Owner("a repository", "default", "a")
 # As in the plan: set-up, measuring.
 SETUP_S, AFTER_S = 120.0, 300.0
+LISTED_S = 3600.0  # how long a provider that lists machines that have ended does so
+GIVEN_UP: tuple[Reason, ...] = ("capacity", "capacity", "quota", "setup", "image")
 RULES = RecordRules(warmup=1, valid=0.9, statistic="mean")
 NEVER = math.inf
 
@@ -34,7 +36,8 @@ class Killed(BaseException):
 class Machine:
     """A simulated machine and its true bill; times are the world's.
 
-    `fate`: finishes, hangs, crashes, vanishes, writes nonsense. Its own end is armed at `armed`, which may be never, and comes
+    `fate`: finishes, hangs, crashes, vanishes, writes nonsense; or it is given up before it is ready, for any reason that is
+    said of one that was never there. Its own end is armed at `armed`, which may be never, and comes
     `lifetime` and `late` after that; an engine with a time limit ends it at `limit` in any case. From its end, by itself or by
     a request that the cloud accepted at `ended`, it takes `teardown` until it is gone, and is billed until then. Lists show
     it `lag` late, and as long after it is gone.
@@ -214,10 +217,12 @@ class FaultyBackend:
             self.watched.add(job.name)
             return SampleStatus(running=True, ready=False, measured_on="simulated")
         lied = world.chance.random() if world.faults else 0.5
-        if machine is not None and machine.fate == "no room":
+        if machine is not None and machine.fate in ("no room", "given up"):
             if world.now < machine.ready:
                 return SampleStatus(running=True, ready=False)
-            return SampleStatus(running=False, reason="capacity", again=world.happens(0.3), billed_s=0.0)
+            reason = world.chance.choice(GIVEN_UP)
+            certain = 0.0 if machine.fate == "no room" and world.happens(0.5) else None
+            return SampleStatus(running=False, reason=reason, again=world.happens(0.3), billed_s=certain)
         if lied < 0.01 or machine is None or not machine.up(world.now):
             return SampleStatus(running=False, lost=True, detail="the machine is not there")
         if lied > 0.995 and job.name in self.seen_ready:
@@ -246,8 +251,8 @@ class FaultyBackend:
         self._step("list")
         return [name for name, one in world.machines.items() if owner.has(name) and one.listed(world.now)]
 
-    def stop(self, job: Job) -> None:
-        """The cloud accepts it, takes a while, and says so only then."""
+    def stop(self, job: Job) -> int | None:
+        """The cloud accepts it, takes a while, and says so only then; every second world lists for a while what has ended."""
         world = self.world
         self._step("before end")
         if world.happens(0.1):
@@ -260,6 +265,9 @@ class FaultyBackend:
             raise Unreachable("its machine is being taken down")
         if world.happens(0.05):
             raise Unreachable("ended, but nobody said so")
+        if world.seed % 4 < 2:
+            return None
+        return int(machine is not None and machine.gone > machine.started and world.now < machine.gone + LISTED_S)
 
     def _step(self, what: str) -> None:
         """A call that may take its time."""
@@ -272,8 +280,8 @@ def made(world: World, job: Job) -> Machine:
     """A machine with a fate: its own end is armed late, may come late or never, and takes a while."""
     chance, now, life = world.chance, world.now, job.lifetime_s
     fate = chance.choices(
-        ["finishes", "hangs", "never ready", "crashes", "vanishes", "partial", "absurd", "no room"],
-        [60, 6, 6, 6, 6, 6, 4, 6],
+        ["finishes", "hangs", "never ready", "crashes", "vanishes", "partial", "absurd", "no room", "given up"],
+        [60, 6, 6, 6, 6, 6, 4, 6, 6],
     )[0] if world.faults else "finishes"  # fmt: skip
     boot_s = chance.uniform(60, 300) if world.faults else 0.0
     ready = now + boot_s + chance.uniform(5, 60)

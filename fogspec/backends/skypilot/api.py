@@ -121,7 +121,9 @@ def _afford(wanted: Any, task: Mapping[str, Any]) -> None:
         with contextlib.suppress(Exception):  # no price is known here: the plan's price stands
             price = one.get_cost(3600)
         if price is not None and price > float(most) * (1 + 1e-6):
-            raise CloudProblem("budget", f"it costs ${price:g} per hour now, and the task allows ${float(most):g}")
+            raise CloudProblem(
+                "budget", f"it costs ${price:g} per hour now, and the task allows ${float(most):g}", refused=True
+            )
 
 
 def launched(request: str, name: str) -> dict[str, Any] | None:
@@ -226,11 +228,11 @@ def waiting(prefix: str = PREFIX) -> list[str]:
     return [name for name in dict.fromkeys(names) if name.startswith(prefix)]
 
 
-def end(name: str) -> int:
+def end(name: str) -> int | None:
     """Cancel its launch, take it down, and verify with its cloud that it is gone.
 
-    Return how many machines of this name the cloud had, as far as it lists those that have ended: SkyPilot starts another in
-    the next zone if it does not see the first, which is paid too.
+    Return how many machines of this name the cloud had, or None if it does not list those that have ended: SkyPilot starts
+    another in the next zone if it does not see the first, which is paid too.
 
     If SkyPilot does not know it, check again after SETTLE_S: the launch request may still be in flight.
     """
@@ -238,12 +240,13 @@ def end(name: str) -> int:
     known, machines = _end(name)
     if not known:
         time.sleep(SETTLE_S)
-        machines = max(machines, _end(name)[1])
+        found = _end(name)[1]
+        machines = found if machines is None else max(machines, found or 0)
     return machines
 
 
-def _end(name: str) -> tuple[bool, int]:
-    """Return whether SkyPilot knew the machine, or a launch of it, and how many the cloud had."""
+def _end(name: str) -> tuple[bool, int | None]:
+    """Return whether SkyPilot knew the machine, or a launch of it, and how many the cloud had; None if that is unknown."""
     asked = _launches(name, finished=True)
     if pending := [one.request_id for one in asked if _word(one.status) in UNFINISHED]:
         sky.get(sky.api_cancel(pending, silent=True))

@@ -53,7 +53,6 @@ WAIT_S = 1.0  # for a call that is usually quick
 TAIL_LINES, MANY_LINES = 2000, 200_000
 TAIL_BYTES = 256 * 2**20
 OVER = ("SUCCEEDED", "FAILED", "FAILED_SETUP", "FAILED_DRIVER", "CANCELLED")
-NO_MACHINE = ("access", "quota", "capacity", "budget")  # refusals of a machine: nothing was up, so nothing is paid
 
 
 class Stage(StrEnum):
@@ -211,8 +210,8 @@ class SkyPilotSamples(SkyPilotBackend):
             job_outcome.write_final(job, watch.status)
         return watch.status
 
-    def stop(self, job: Job) -> int:
-        """Terminate its machine; raise Unreachable until the cloud has confirmed it. Return how many the cloud had."""
+    def stop(self, job: Job) -> int | None:
+        """Terminate its machine; raise Unreachable until the cloud has confirmed it. Return how many it says that it had."""
         if job.name not in self._stopping:
             self._await_launch(job)
             self._stopping[job.name] = self._client.begin("end", name=job.name), time.monotonic()
@@ -224,7 +223,7 @@ class SkyPilotSamples(SkyPilotBackend):
         if not call.done():
             raise Unreachable(f"SkyPilot has not taken it down within {HANGS_S:g} s")
         try:
-            machines = int(call.result() or 0)
+            machines: int | None = call.result()
         except CloudProblem as problem:
             raise Unreachable(problem.detail) from None
         self._watched.pop(job.name, None)
@@ -477,7 +476,7 @@ def _launched_s(job: Job) -> float:
 def _failed(watch: Watch, problem: CloudProblem) -> SampleStatus:
     """Return the status after a failed call: ended if the machine is unavailable or gone, else still running."""
     if watch.stage in (Stage.LAUNCH, Stage.FIND, Stage.LAUNCHED):
-        billed_s = 0.0 if problem.reason in NO_MACHINE and not problem.up else None
+        billed_s = 0.0 if problem.refused else None
         status = replace(watch.status, running=False, again=problem.again, detail=problem.detail, billed_s=billed_s)
         return replace(status, lost=True) if problem.gone else replace(status, reason=problem.reason)
     if problem.gone:

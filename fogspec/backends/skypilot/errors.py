@@ -21,6 +21,15 @@ SERVER_TRACEBACK = re.compile(r"[\s+|]*Exception Group Traceback \(most recent c
 REFUSAL = re.compile(
     r"An error occurred \((?P<code>[\w.]+)\) when calling the \w+ operation(?: \([^)]*\))?: (?P<why>.*)"
 )
+# What SkyPilot (0.14: sky/provision/*/instance.py) logs where a provider refused to create a machine, by itself on one line:
+# on AWS, Google Cloud, Azure, and elsewhere.
+CREATION = re.compile(
+    r"An error occurred \([\w.]+\) when calling the RunInstances operation[^\n]*|Got return codes? [^\n]*"
+    r"|(?:Failed to create instances?|run_instances error(?: \([^)]*\))?|API error during instance launch"
+    r"|Resource unavailability error): [^\n]*"
+)
+PLACE = re.compile(r"\bLaunching (?:\S+ )?on ")  # what it logs before it tries one zone, or one region
+NO_DECISION = re.compile(r"time(?:d[ -]?)? ?out", re.IGNORECASE)  # a machine may be there
 # Of an API that does not answer, botocore.exceptions has these, and SkyPilot's exception nothing.
 NO_ANSWER = re.compile(r'(?:(?:Read|Connect) timeout on|Could not connect to the) endpoint URL: "[^"]*"')
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -44,7 +53,8 @@ WORDS: tuple[tuple[Reason, bool, str], ...] = (
     ("image", False, r"pull access denied|manifest unknown|manifest for .{0,200} not found|ErrImagePull|ImagePullBackOff"
                      r"|InvalidAMIID|repository does not exist|no such image|image .{0,200} (not found|does not exist)"),
     ("capacity", True, r"InsufficientInstanceCapacity|insufficient.{0,20}capacity|RESOURCE_POOL_EXHAUSTED|stockout"
-                       r"|SkuNotAvailable|AllocationFailed|out of (stock|capacity)|no capacity|Insufficient (cpu|memory)"
+                       r"|SkuNotAvailable|AllocationFailed|out of (stock|capacity)|no capacity|no longer any instances"
+                       r"|Insufficient (cpu|memory)"
                        r"|ReqNodeNotAvail|nodes? .{0,60}(down|drained)|timed out .{0,60}(allocat|provision|schedul)"),
 )  # fmt: skip
 # SkyPilot starts the container by commands on the machine, which exists by then (sky.provision.docker_utils, 0.14).
@@ -74,6 +84,8 @@ CONTACT = {
 SERVER = re.compile(
     r"No SkyPilot API server endpoint|SkyPilot API server process exited|Failed to start SkyPilot API server"
 )
+# What SkyPilot finds before it asks for a machine.
+BEFORE_ANY = {"NotSupportedError", "InvalidClusterNameError", "CloudUserIdentityError"}
 GONE = {"ClusterDoesNotExist"}
 SETUP = {"ClusterSetUpError", "CommandError", "CommandFailureException", "ClusterNotUpError"}
 UNFIT = {
@@ -85,7 +97,7 @@ class CloudProblem(Exception):
     """A call that SkyPilot refused or could not carry out.
 
     `again`: a retry can help soon. `gone`: the requested machine does not exist. `contact`: there was no answer, so the state
-    is unknown. `up`: programs on the machine, or that log in to it, said something, so it was there.
+    is unknown. `refused`: it is certain that there was no machine, so nothing is paid.
     """
 
     def __init__(
@@ -96,7 +108,7 @@ class CloudProblem(Exception):
         again: bool = False,
         gone: bool = False,
         contact: bool = False,
-        up: bool = False,
+        refused: bool = False,
     ) -> None:
         super().__init__(detail)
         self.reason = reason
@@ -104,17 +116,17 @@ class CloudProblem(Exception):
         self.again = again
         self.gone = gone
         self.contact = contact
-        self.up = up
+        self.refused = refused
 
     def to_dict(self) -> dict[str, Any]:
         """Return the problem as JSON values."""
-        return {name: getattr(self, name) for name in ("reason", "detail", "again", "gone", "contact", "up")}
+        return {name: getattr(self, name) for name in ("reason", "detail", "again", "gone", "contact", "refused")}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "CloudProblem":
         """Return the problem from the values of `to_dict`."""
         reason: Reason = values["reason"] if values.get("reason") in get_args(Reason) else "setup"
-        flags = {name: bool(values.get(name)) for name in ("again", "gone", "contact", "up")}
+        flags = {name: bool(values.get(name)) for name in ("again", "gone", "contact", "refused")}
         return cls(reason, str(values.get("detail", "")), **flags)
 
 
@@ -127,18 +139,19 @@ def classify(problem: BaseException, log: str = "") -> CloudProblem:
     if isinstance(problem, CloudProblem):
         return problem
     kinds = {kind for one in _causes(problem) for kind in _kinds(one)}
-    said = [plain(str(one)) for one in _causes(problem)]
+    said, logged = [plain(str(one)) for one in _causes(problem)], plain(log)
     refusals = [
-        f"{found['code']}: {found['why'].strip()}" for text in (plain(log), *said) for found in REFUSAL.finditer(text)
+        f"{found['code']}: {found['why'].strip()}" for text in (logged, *said) for found in REFUSAL.finditer(text)
     ]
-    refusals += NO_ANSWER.findall(plain(log))
+    refusals += [line for line in CREATION.findall(logged) if not REFUSAL.match(line)] + NO_ANSWER.findall(logged)
     text = "\n".join(dict.fromkeys([*refusals, *said]))
-    detail, up, text = _detail(problem, text), PROGRAMS.search(text) is not None, PROGRAMS.sub("", text)
+    detail, text = _detail(problem, text), PROGRAMS.sub("", text)
     if kinds & GONE:
         return CloudProblem("capacity", detail, gone=True)
+    refused = _refused(problem, kinds, logged)
     for reason, again, words in WORDS:
         if re.search(words, text, re.IGNORECASE):
-            return CloudProblem(reason, detail, again=again, up=up)
+            return CloudProblem(reason, detail, again=again, refused=refused)
     if kinds & CONTACT or SERVER.search(text):
         return CloudProblem("setup", detail, again=True, contact=True)
     if CONTAINER in text:
@@ -147,15 +160,41 @@ def classify(problem: BaseException, log: str = "") -> CloudProblem:
             "image" if pulled else "setup", detail, again=not (pulled and REGISTRY_REFUSES.search(text))
         )
     if "NoCloudAccessError" in kinds or ACCESS.search(text):
-        return CloudProblem("access", detail, up=up)
+        return CloudProblem("access", detail, refused=refused)
     if "ResourcesUnavailableError" in kinds:
         tried = getattr(problem, "failover_history", None) or ()
         if tried and all(kind & (UNFIT - {"ValueError"}) for kind in map(_kinds, tried)):
-            return CloudProblem("capacity", detail)  # what its cloud, or SkyPilot there, never has
-        return CloudProblem("capacity", detail, again=bool(tried), up=up)
+            return CloudProblem("capacity", detail, refused=refused)  # what its cloud, or SkyPilot there, never has
+        return CloudProblem("capacity", detail, again=bool(tried), refused=refused)
     if kinds & SETUP:
         return CloudProblem("setup", detail, again=True)
     return CloudProblem("setup", detail, again=not kinds & UNFIT)
+
+
+def _refused(problem: BaseException, kinds: set[str], log: str) -> bool:
+    """Return whether it is certain that there was no machine, whatever words the exception has.
+
+    SkyPilot reports all that fails until a machine has booted as unavailable resources. Either it tried nothing, or in each
+    place that it tried its provider refused to create one, and said why.
+    """
+    if "NoCloudAccessError" in kinds:
+        return True
+    if "ResourcesUnavailableError" not in kinds:
+        return False
+    tried = getattr(problem, "failover_history", None) or ()
+    if all(_kinds(one) & BEFORE_ANY for one in tried):
+        return True
+    places = PLACE.split(log)[1:]
+    return bool(places) and all(any(map(_decided, CREATION.findall(place))) for place in places)
+
+
+def _decided(line: str) -> bool:
+    """Return whether a provider that refused to create a machine has decided so: it has none left, or allows none."""
+    if NO_DECISION.search(line):
+        return False
+    return ACCESS.search(line) is not None or any(
+        reason in ("capacity", "quota") and re.search(words, line, re.IGNORECASE) for reason, _, words in WORDS
+    )
 
 
 def _kinds(problem: BaseException) -> set[str]:

@@ -32,16 +32,16 @@ KEYS = ("aws", "post_provision_runcmd")
 _LOCK = threading.Lock()  # the configuration is the whole process's
 
 
-def await_gone(name: str, launched_until_s: float | None = None) -> int:
+def await_gone(name: str, launched_until_s: float | None = None) -> int | None:
     """Poll the cloud until it has no such machine; raise CloudProblem if it still has one after `TIMEOUT_S`.
 
-    Return how many that have ended it lists; 0 if it lists none. `launched_until_s`, in seconds since the epoch, is when a
-    launch that did not succeed was last in progress. For a while after that a machine may appear which SkyPilot has not seen:
+    Return how many that have ended it lists; None if it never lists any. A launch that did not succeed was last in progress at
+    `launched_until_s`, in seconds since the epoch: for a while after that a machine may appear which SkyPilot has not seen, and
     it is terminated here.
     If the API server is on another host, its database cannot be read, and the result of `sky.down` stands.
     """
     if (config := _config_of(name)) is None:
-        return 0
+        return None
     provider = config["provider"]
     module = str(provider["module"]).rpartition(".")[2]
     cloud = cloud_of(module)
@@ -53,7 +53,7 @@ def await_gone(name: str, launched_until_s: float | None = None) -> int:
         )
         found = sorted(one for one, (status, _) in states.items() if status is not None)
         if not found and time.time() >= visible_s:
-            return len(states) if cloud.lists_ended else 0
+            return len(states) if cloud.lists_ended else None
         if found and time.monotonic() > end_s:
             raise CloudProblem("setup", f"{name} was ended, and its cloud still has {', '.join(found)}", again=True)
         if found and cloud.visible_s:

@@ -214,7 +214,7 @@ def test_a_machine_above_the_price_of_its_task_is_not_launched(
     else:
         with pytest.raises(CloudProblem, match="the task allows") as refused:
             api.launch(task, NAME, "/")
-        assert (refused.value.reason, refused.value.again, refused.value.gone) == ("budget", False, False)
+        assert (refused.value.reason, refused.value.again, refused.value.refused) == ("budget", False, True)
         assert f"${max(one or 0 for one in prices):g} per hour" in refused.value.detail
         assert sky.calls == [], "nothing was asked for"
 
@@ -374,7 +374,7 @@ def test_elsewhere_a_machine_that_is_being_ended_is_only_waited_for(api: Any, de
     deployed.config["provider"]["module"] = "sky.provision.slurm"
     deployed.request("CANCELLED")
     deployed.at_the_cloud = [{"7": ("running", None)}, {}]
-    assert api.end(NAME) == 0
+    assert api.end(NAME) is None, "it does not say how many there were"
     assert "terminate" not in deployed.names()
     assert deployed.calls[-1] == ("query", "slurm", NAME, f"{NAME}-1234", True)
 
@@ -390,7 +390,7 @@ def test_a_cloud_that_keeps_it_is_said_after_a_while_and_not_before(api: Any, de
 
 def test_without_a_record_of_its_cloud_the_answer_of_down_stands(api: Any, sky: Sky) -> None:
     sky.up = [NAME]
-    api.end(NAME)
+    assert api.end(NAME) is None
     assert "query" not in sky.names()
 
 

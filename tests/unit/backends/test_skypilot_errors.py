@@ -118,7 +118,7 @@ def test_what_programs_on_the_machine_say_is_no_refusal_of_its_provider(kind: st
     found = classify(raised(kind, text) if kind != "ResourcesUnavailableError" else raised(kind, ALL_FAILED, (text,)))
     assert found.reason == ("capacity" if kind == "ResourcesUnavailableError" else "setup")
     assert found.again
-    assert found.reason == "setup" or found.up, "what was up is paid"
+    assert not found.refused, "what was up is paid"
     assert text.strip() in found.detail
 
 
@@ -183,8 +183,59 @@ def test_what_the_provider_answered_is_told_where_only_the_log_has_it() -> None:
     assert classify(raised("ResourcesUnavailableError", LOST, (LOST,))).reason == "capacity"
 
 
+def tried(*places: tuple[str, str]) -> str:
+    """What SkyPilot 0.14 logs of a launch that failed in each of these places."""
+    lines = [f"⚙︎ Launching on {place}.\n\x1b[2m{said}\x1b[0m\n" for place, said in places]
+    return "Considered resources (1 node):\n" + "".join(lines) + f"{ALL_FAILED}\n"
+
+
+NO_ROOM = "Got return code 'ZONE_RESOURCE_POOL_EXHAUSTED' in us-central1-a: 'The zone does not have enough resources'"
+OUT_OF_TIME = "run_instances error: HTTPSConnectionPool: Read timed out. (no capacity)"
+
+
+@pytest.mark.parametrize(
+    ("log", "reason", "refused"),
+    [
+        (tried(("GCP us-central1 (us-central1-a)", NO_ROOM)), "capacity", True),
+        (tried(("GCP us-central1 (us-central1-a)", "Got return code 'QUOTA_EXCEEDED' in us-central1-a: 'Limit: 0.0'")),
+         "quota", True),
+        (tried(("Azure eastus", "Failed to create instances: [azure.core.exceptions.HttpResponseError] (SkuNotAvailable) The")),
+         "capacity", True),
+        (tried(("RunPod CA", "run_instances error: There are no longer any instances available with the requested specs")),
+         "capacity", True),
+        (tried(("Lambda us-east-1", "run_instances error: instance-operations/launch/insufficient-capacity")),
+         "capacity", True),
+        (tried(("Lambda us-east-1", "run_instances error: Unauthorized: Invalid API key")), "access", True),
+        (tried(("AWS us-east-1 (us-east-1a)", LOG)), "quota", True),
+        (tried(("GCP us-central1 (us-central1-a)", NO_ROOM), ("GCP us-central1 (us-central1-b)", "")), "capacity", False),
+        (tried(("RunPod CA", "")), "capacity", False),
+        (tried(("RunPod CA", OUT_OF_TIME)), "capacity", False),
+        (tried(("Lambda us-east-1", "run_instances error: an answer that is not known")), "capacity", False),
+        (NO_ROOM, "capacity", False),
+        ("", "capacity", False),
+    ],
+)  # fmt: skip
+def test_that_there_was_no_machine_is_certain_where_each_place_refused_to_create_it(
+    log: str, reason: str, refused: bool
+) -> None:
+    found = classify(raised("ResourcesUnavailableError", LOST, (LOST,)), log)
+    assert (found.reason, found.refused) == (reason, refused)
+    assert not classify(raised("RuntimeError", "Failed to SSH to 203.0.113.7 after timeout 600s"), log).refused
+
+
+def test_what_was_never_asked_for_was_not_there() -> None:
+    assert classify(raised("NoCloudAccessError", "No cloud is enabled")).refused
+    assert classify(raised("ResourcesUnavailableError", "Catalog does not contain any instances")).refused
+    assert classify(unsupported("Autodown is not supported on Verda.")).refused
+    both = unsupported("Autodown is not supported on Verda.")
+    both.failover_history.append(Exception("ZONE_RESOURCE_POOL_EXHAUSTED"))
+    assert not classify(both).refused
+    for text in ("InsufficientInstanceCapacity", "ExpiredToken: The security token is expired", "VcpuLimitExceeded"):
+        assert not classify(raised("ResourcesUnavailableError", ALL_FAILED, (text,))).refused, "words are no evidence"
+
+
 def test_a_problem_survives_the_pipe() -> None:
-    problem = CloudProblem("image", "no such image", again=True, gone=True, up=True)
+    problem = CloudProblem("image", "no such image", again=True, gone=True, refused=True)
     assert CloudProblem.from_dict(problem.to_dict()).to_dict() == problem.to_dict()
     assert CloudProblem.from_dict({"reason": "rm -rf", "detail": 3}).to_dict()["reason"] == "setup"
 

@@ -112,13 +112,16 @@ def test_a_machine_that_goes_away_takes_its_results_with_it(bed):
 @pytest.mark.parametrize(
     ("problem", "again", "billed_s"),
     [
-        (CloudProblem("quota", "VcpuLimitExceeded"), False, 0.0),
-        (CloudProblem("capacity", "none left", again=True), True, 0.0),
-        (CloudProblem("capacity", "Permission denied (publickey).", again=True, up=True), True, None),
+        (CloudProblem("quota", "VcpuLimitExceeded", refused=True), False, 0.0),
+        (CloudProblem("capacity", "none left", again=True, refused=True), True, 0.0),
+        (CloudProblem("capacity", "Failed to acquire resources in all zones", again=True), True, None),
+        (CloudProblem("access", "Permission denied"), False, None),
         (CloudProblem("image", "manifest unknown"), False, None),
     ],
 )
-def test_refusals_keep_their_reason_and_cost_nothing_where_no_machine_was_up(bed, problem, again, billed_s):
+def test_refusals_keep_their_reason_and_cost_nothing_where_there_was_no_machine_for_certain(
+    bed, problem, again, billed_s
+):
     job = bed.job()
     cloud_of(bed).refused[job.name] = problem
     bed.backend.start(job)

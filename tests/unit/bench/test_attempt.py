@@ -1,6 +1,6 @@
 """One attempt: when it is overdue, when asking is given up, and what is billed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fogspec.backends.naming import Owner
@@ -40,7 +40,7 @@ class At:
         self.now += seconds
 
 
-def made(machines: int = 0) -> Attempt:
+def made(machines: int | None = None) -> Attempt:
     started = LaunchRecord(
         name=NAME, runner="sky", application="sha256:app", sample=SAMPLE, price_usd_per_hour=3.6, lifetime_s=600.0,
         paid_s=1000.0, at_s=100.0, at_unix_s=1.7e9, boot="boot",
@@ -149,6 +149,18 @@ def test_every_machine_that_its_provider_lists_is_paid() -> None:
     assert made(machines=2).billed_s(refused, At(250.0)) == 300.0
     assert made(machines=2).billed_s(OVER, At(250.0)) == 300.0
     assert made(machines=1).billed_s(OVER, At(250.0)) == 150.0
+
+
+def test_what_could_not_be_had_is_free_only_where_that_is_certain() -> None:
+    """A launch that fails after minutes is told in the same words, whether or not there was a machine."""
+    none = SampleStatus(running=False, reason="capacity", ready=False)
+    assert made().billed_s(none, At(250.0)) == 150.0
+    assert made(machines=0).billed_s(none, At(250.0)) == 0.0, "its provider lists those that have ended"
+    assert made(machines=0).billed_s(replace(none, reason="setup"), At(250.0)) == 150.0
+    measured, resumed = made(machines=0), replace(made(machines=0), found_s=9000.0)
+    measured.reached(SampleStatus(running=True))
+    assert measured.billed_s(none, At(250.0)) == 150.0
+    assert resumed.billed_s(none, At(9100.0)) == 9000.0, "nor for ever"
 
 
 def test_no_machine_costs_less_than_its_cloud_bills_at_least() -> None:

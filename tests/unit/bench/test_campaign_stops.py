@@ -1,17 +1,28 @@
 """What a campaign says and keeps of machines that it cannot reach or end."""
 
 import contextlib
+from typing import get_args
 
 import pytest
 
 from fogspec.backends.protocol import LaunchRefused, SampleStatus, Unreachable, no_access
+from fogspec.backends.skypilot.errors import CloudProblem, classify
 from fogspec.base.units import dollars
 from fogspec.bench.attempt import STOP_PATIENCE_S
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.progress import FINAL
 from fogspec.bench.types import Event, EventKind, Queued
+from fogspec.results.schema import Reason
+from tests.faults.campaign import paid
 from tests.faults.controllers import COMMITMENT, campaign_of, samples
 from tests.faults.simulation import FaultyBackend, VirtualClock, World
+
+
+def unavailable(text: str) -> Exception:
+    """What SkyPilot raises for all that fails until a machine has booted."""
+    problem = type("ResourcesUnavailableError", (Exception,), {})("Failed to provision all possible resources")
+    problem.failover_history = [Exception(text)]
+    return problem
 
 
 @pytest.fixture
@@ -94,6 +105,37 @@ def test_where_each_set_up_fails_two_machines_are_paid(told, monkeypatch, again)
     assert campaign.is_halted()
     bill_usd = sum(one.bill(world.now) for one in world.machines.values())
     assert bill_usd <= campaign.journal.state.spent_usd < 3 * 0.2 * 300 / 3600
+
+
+SAID = [
+    *(CloudProblem(reason, "") for reason in get_args(Reason)),
+    *(classify(unavailable(text)) for text in (
+        "Failed to acquire resources in all zones in us-central1", "me@203.0.113.7: Permission denied (publickey).",
+        "Disk quota exceeded", "401 Unauthorized", "ExpiredToken: The security token is expired", "VcpuLimitExceeded",
+        "ZONE_RESOURCE_POOL_EXHAUSTED", "timed out waiting for instances to provision",
+    )),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("seed", "again"), [(0, True), (2, False)], ids=["says-nothing", "lists-what-ended"])
+@pytest.mark.parametrize("said", SAID, ids=lambda said: f"{said.reason}-{said.detail[-20:]}")
+def test_what_is_spent_is_never_less_than_the_bill_whatever_is_said(told, monkeypatch, said, seed, again):
+    """Each machine is up for a minute, and given up in words that are also said where none was there."""
+    campaign, _, world = told
+    world.seed = seed
+    end = SampleStatus(running=False, reason=said.reason, again=again, billed_s=0.0 if said.refused else None)
+
+    def given_up(self, job):
+        ready = world.now >= world.machines[job.name].started + 60
+        return end if ready else SampleStatus(running=True, ready=False)
+
+    monkeypatch.setattr(FaultyBackend, "poll", given_up)
+    campaign.run(samples(3))
+    bills = {name: one.bill(world.now) for name, one in world.machines.items()}
+    assert len(bills) >= 2
+    for name, spent_usd in paid(world).items():
+        assert spent_usd >= bills[name] * (1 - 1e-9) > 0
+    assert campaign.journal.state.spent_usd >= sum(bills.values()) * (1 - 1e-9)
 
 
 def test_a_machine_that_the_cloud_does_not_have_makes_way_for_the_next(told, monkeypatch):
