@@ -34,7 +34,7 @@ class Cloud:
     may carry one of several accelerators. `own_end`: see `OwnEnd`. `limits_pods`: SkyPilot limits a pod to what it requests if
     a task says so; otherwise the pod uses what its node has to spare. A new machine may be missing in the cloud's lists for
     `visible_s` seconds. A cloud that `lists_ended` machines does so long enough to tell whether there was one. A machine is
-    billed for `least_s` seconds at least.
+    billed for `least_s` seconds at least. Without an image, machines there have the `ubuntu` of this code name.
 
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
     whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
@@ -57,6 +57,7 @@ class Cloud:
     visible_s: float = 0.0
     lists_ended: bool = False
     least_s: float = 0.0
+    ubuntu: str | None = None
     open_udp: str | None = None
     quota: str | None = None
     region: str | None = None
@@ -81,6 +82,7 @@ class Cloud:
 # cloud.google.com/compute/docs/machine-resource. Google's families have a CPU each; AWS and Azure repeat a CPU's mark.
 # Lists: docs.aws.amazon.com/ec2/latest/devguide/eventual-consistency.html; a terminated instance stays in them for an hour.
 # Shortest bills: aws.amazon.com/ec2/pricing/on-demand, cloud.google.com/compute/vm-instance-pricing.
+# Ubuntu: `sky/clouds` of 0.14.1, its lists of images, and what its images for AWS, Azure and Kubernetes are built from.
 # Each `open_udp` finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
 _ROWS = (
     Cloud(
@@ -89,6 +91,7 @@ _ROWS = (
         visible_s=30.0,
         lists_ended=True,
         least_s=60.0,
+        ubuntu="jammy",
         region=r"[a-z]{2}-(?:gov-)?[a-z]+-\d",
         arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
         accelerated=r"(dl|f|g|gr|inf|p|trn|vt)\d",
@@ -107,6 +110,7 @@ _ROWS = (
         name="gcp",
         attaches_gpus=True,
         least_s=60.0,
+        ubuntu="jammy",
         region=r"[a-z]+-[a-z]+\d",
         arm=r"(t2a|c4a|n4a|a4x)-",
         accelerated=r"(a2|a3|a4|a4x|g2|g4)-|n1-.*-tpu$|ct\d",
@@ -123,6 +127,7 @@ _ROWS = (
     ),
     Cloud(
         name="azure",
+        ubuntu="jammy",
         arm=r"Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d",
         family=r"(?:Standard|Basic)_([A-Z]+)\d+(?:-\d+)?([a-z]*)(?:.*_(v\d+))?",
         accelerated=r"Standard_(N|PB)",
@@ -139,12 +144,12 @@ _ROWS = (
     Cloud(name="oci"),
     Cloud(name="ibm"),
     Cloud(name="lambda", arm=r".*(gh200|gb\d00)"),
-    Cloud(name="runpod"),
-    Cloud(name="nebius"),
+    Cloud(name="runpod", ubuntu="jammy"),
+    Cloud(name="nebius", ubuntu="noble"),
     Cloud(name="cudo"),
     Cloud(name="paperspace"),
     Cloud(name="do"),
-    Cloud(name="fluidstack"),
+    Cloud(name="fluidstack", ubuntu="jammy"),
     Cloud(name="vast"),
     Cloud(name="vsphere"),
     Cloud(name="scp"),
@@ -155,6 +160,7 @@ _ROWS = (
         context_regions=True,
         own_end=OwnEnd.POD_DEADLINE,
         limits_pods=True,
+        ubuntu="jammy",
     ),
     Cloud(name="hyperbolic"),
     Cloud(name="primeintellect"),
@@ -169,7 +175,14 @@ _ROWS = (
         places_in_zones=True,
         own_end=OwnEnd.JOB_TIME_LIMIT,
     ),
-    Cloud(name="ssh", priced=False, instance_types=False, opens_ports=False, own_end=OwnEnd.POD_DEADLINE),
+    Cloud(
+        name="ssh",
+        priced=False,
+        instance_types=False,
+        opens_ports=False,
+        own_end=OwnEnd.POD_DEADLINE,
+        ubuntu="jammy",
+    ),
     Cloud(name="mithril"),
     Cloud(name="verda"),
     Cloud(name="yotta"),

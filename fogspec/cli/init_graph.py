@@ -93,7 +93,7 @@ def watcher(folder: str, *words: str, seconds: float) -> Iterator[None]:
 
 def first_of(name: str, proposal: "Proposal") -> dict[str, Any]:
     """Return the values of a first spec, with what the robot showed in place of what `init` makes up."""
-    from fogspec.importers.scaffold import first_data
+    from fogspec.importers.scaffold import first_data, with_image
 
     data = first_data(name)
     spec, found = data["spec"], dict(proposal.spec)
@@ -104,6 +104,7 @@ def first_of(name: str, proposal: "Proposal") -> dict[str, Any]:
     rest = {key: value for key, value in spec.items() if key not in left_out}
     probe = {"probe": found.get("probe", spec["probe"])}
     data["spec"] = {**{key: found[key] for key in order[:-1] if key in found}, **probe, **rest}
+    data["spec"]["ros"] = with_image(data["spec"]["ros"], data["spec"]["infra"])
     data["spec"]["constraints"] |= limits
     if transfer:
         data["spec"]["objective"]["transfer"] = transfer

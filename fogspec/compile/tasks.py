@@ -28,7 +28,7 @@ from fogspec.language.launch_text import has_substitution, needs_launch
 from fogspec.language.lockfile import registry_login
 from fogspec.language.named_files import measurement_sends_files
 from fogspec.language.probe import holds, module, optional, player, probe_parts
-from fogspec.language.schema import Application, ComposableNode, Node, Spec
+from fogspec.language.schema import UBUNTU, Application, ComposableNode, Node, Spec
 from fogspec.language.warned import Warned, warned
 from fogspec.plan.commitment import Commitment, engine_settings
 from fogspec.plan.schema import Sample
@@ -39,9 +39,8 @@ LINK_PEER = "FOGSPEC_LINK_PEER"
 # How long the deployment may run, given when it is launched: it depends on the date, and on what was spent before.
 LIFETIME, ENDS = "FOGSPEC_LIFETIME_S", "FOGSPEC_ENDS"
 LEAST_LIFETIME_S = 60.0  # a deployment that would end before is not started
-# By distribution, the code name of its Ubuntu (REP 2000), and the sha256 of the package of ros-infrastructure/ros-apt-source
-# that sets up ROS 2's package source there, as Docker's official `ros` images check it.
-UBUNTU = {"humble": "jammy", "jazzy": "noble", "kilted": "noble", "lyrical": "resolute", "rolling": "resolute"}
+# The sha256 of the package of ros-infrastructure/ros-apt-source that sets up ROS 2's package source on each Ubuntu, as Docker's
+# official `ros` images check it.
 ROS_APT_SOURCE = "1.2.0"
 ROS_APT_PACKAGES = {
     "jammy": "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433",
@@ -340,10 +339,11 @@ def parameter(value: Any) -> str:
 
 
 def ros_environment(spec: Spec) -> dict[str, Any]:
-    """Return the values of the scripts' templates: ROS 2 distribution (None without), workspace, packages, secrets."""
+    """Return the values of the scripts' templates: ROS 2 and its image (None without), workspace, packages, secrets."""
     ros = spec.ros
     return {
         "distro": ros.distro if ros else None,
+        "image": ros.image if ros else None,
         "workspace": ros.workspace if ros else None,
         "apt": ros.apt if ros else [],
         "setup": ros.setup if ros else [],

@@ -11,6 +11,7 @@ from fogspec.base.yaml.writer import block
 from fogspec.importers.launch.found import WRITTEN, LaunchImport
 from fogspec.language.field_docs import FieldPage, pages
 from fogspec.language.rules.benchmark import PLACEHOLDER_PACKAGE, PLACEHOLDER_TOPICS
+from fogspec.language.rules.machines import OFFICIAL_IMAGE, lacks
 from fogspec.language.schema import API_VERSION, Application
 
 ADVANCED = "  # advanced fields: fogspec explain spec\n"
@@ -42,13 +43,14 @@ def first_data(name: str, found: LaunchImport | None = None, workspace: str = WO
     if robot:
         spec["robot"] = robot
     built = any("package" in one or one["cmd"][0] == "ros2" for one in cloud or robot)
+    infra = (found and found.infra) or ["aws/us-east-1"]
     ros = {"workspace": workspace if built else None, "image": found and found.image, "setup": found and found.setup}
-    spec["ros"] = {"distro": "jazzy", **{key: value for key, value in ros.items() if value}}
+    spec["ros"] = with_image({"distro": "jazzy", **{key: value for key, value in ros.items() if value}}, infra)
     spec["probe"] = dict(zip(("request", "response"), PLACEHOLDER_TOPICS, strict=True)) | (found.probe if found else {})
     spec["constraints"] = {"latency": "1s", "cost": "$0.001/request"}
     spec["objective"] = {"alpha": 0.5}
     spec["hardware"] = {"cpus": "2..64", "memory": "4GiB..512GiB", "gpus": ["none"]}
-    spec["infra"] = ["aws/us-east-1"]
+    spec["infra"] = infra
     spec["benchmark"] = {"budget": "$2.50"}
     if cloud and robot:
         spec["connectivity"] = {"link": "zenoh"}
@@ -57,6 +59,14 @@ def first_data(name: str, found: LaunchImport | None = None, workspace: str = WO
     else:
         _over(spec, found)
     return {"apiVersion": API_VERSION, "kind": "Application", "metadata": {"name": name}, "spec": spec}
+
+
+def with_image(ros: dict[str, Any], infra: Sequence[str]) -> dict[str, Any]:
+    """Return a ROS 2 environment with its distribution's own image, if it names none and machines there cannot do without."""
+    distro = ros["distro"]
+    if "image" in ros or not any(lacks(distro, place) for place in infra):
+        return ros
+    return {"distro": distro, "image": OFFICIAL_IMAGE.format(distro), **ros}
 
 
 def _over(spec: dict[str, Any], found: LaunchImport) -> None:
@@ -69,7 +79,6 @@ def _over(spec: dict[str, Any], found: LaunchImport) -> None:
     spec["hardware"] |= found.hardware
     if found.stop:
         spec["benchmark"]["stop"] = found.stop
-    spec["infra"] = found.infra or spec["infra"]
 
 
 def _placed(value: Any, folder: str) -> Any:

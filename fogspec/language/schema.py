@@ -185,6 +185,10 @@ class Node(Strict):
         return {key: value for key, value in values.items() if key not in ADDED or value}
 
 
+# The code name of the Ubuntu of each distribution (REP 2000).
+UBUNTU = {"humble": "jammy", "jazzy": "noble", "kilted": "noble", "lyrical": "resolute", "rolling": "resolute"}
+
+
 class Ros(Strict):
     """The ROS 2 environment that is provisioned on the cloud machine."""
 

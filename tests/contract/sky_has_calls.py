@@ -43,15 +43,21 @@ names = ("ClusterDoesNotExist", "ResourcesUnavailableError", "NoCloudAccessError
          "ConcurrentWorkerExhaustedError", "ResourcesMismatchError", "NotSupportedError", "InvalidClusterNameError",
          "ProvisionUnsupportedError", "ClusterNotUpError", "SkyletInternalError", "CloudUserIdentityError")  # fmt: skip
 # What it logs before it tries a place, and where the provider refused to create a machine: fogspec/backends/skypilot/errors.py.
-LOGGED = {
+# Which Ubuntu it starts without an image: fogspec/base/clouds.py.
+WORDS = {
     "backends/cloud_vm_ray_backend.py": "f'Launching{controller_str} on '",
     "provision/aws/instance.py": "f'create_instances: Attempt failed with {",
     "provision/azure/instance.py": "f'Failed to create instances: {",
     "provision/gcp/instance_utils.py": "f'Got return code{plural} {codes}",
     **dict.fromkeys((f"provision/{one}/instance.py" for one in ("lambda_cloud", "nebius", "runpod", "vast")),
                     "f'run_instances error: {"),
+    "clouds/gcp.py": "'skypilot:custom-cpu-ubuntu-2204'",
+    "clouds/kubernetes.py": "'skypilot:custom-cpu-ubuntu-2204-v1'",
+    "clouds/runpod.py": "-ubuntu2204'",
+    "clouds/nebius.py": "'ubuntu24.04-driverless'",
+    "provision/fluidstack/fluidstack_utils.py": "'ubuntu_22_04_lts_nvidia'",
 }  # fmt: skip
 package = Path(sky.__file__).parent
-names += tuple(f"{path}: {words}" for path, words in LOGGED.items() if words not in (package / path).read_text())
+names += tuple(f"{path}: {words}" for path, words in WORDS.items() if words not in (package / path).read_text())
 missing = [name for name in names if not hasattr(exceptions, name)]
 print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY)}))

@@ -26,7 +26,7 @@ def committed(shell: Shell, files: dict[str, str]) -> None:
     def fill(made: Shell) -> None:
         for name, text in files.items():
             made.write(name, text)
-        project(made, cloud=NODE, ros="{distro: jazzy}")
+        project(made, cloud=NODE, ros="{distro: humble}")
         made("lock", *AT)
         made("compile", *AT)
         measure(made)
@@ -177,7 +177,7 @@ def test_what_defines_the_figures_is_not_waived(measured: Shell, old: str, new: 
 
 
 def test_a_bench_after_a_waiver_records_it_and_measures_only_what_is_missing(shell: Shell) -> None:
-    project(shell, cloud=NODE, ros="{distro: jazzy}")
+    project(shell, cloud=NODE, ros="{distro: humble}")
     measure(shell, only=3)
     change(shell, "{LOG: info", "{LOG: debug")
     shell("compile", *AT)

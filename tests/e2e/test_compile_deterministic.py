@@ -15,7 +15,7 @@ PARTS = {
     "hardware": "{cpus: 2..32, gpus: [none, T4], spot: true}",
     "cloud": "[{cmd: [python3, work.py], env: {B: 'é', A: '1'}}]",
     "robot": "[{package: p, executable: e, remappings: {/b: /a, /a: /b}, parameters: {z: 1.0, a: {c: 1, b: true}}}]",
-    "ros": "{distro: jazzy}",
+    "ros": "{distro: humble}",
 }
 
 

@@ -89,7 +89,8 @@ def test_what_needs_no_further_ros_is_valid(shell: Shell, parts: dict[str, str])
 def test_init_writes_ros_and_the_workspace_that_has_the_package(shell: Shell) -> None:
     unread, _ = imported(shell, "mine()")
     assert unread["cloud"] == [{"cmd": ["ros2", "launch", "my_nav", "app.launch.py"]}]
-    assert unread["ros"] == {"distro": "jazzy", "workspace": "."}
+    # Machines of AWS, which it proposes, have no packages of Jazzy.
+    assert unread["ros"] == {"distro": "jazzy", "image": "docker.io/library/ros:jazzy", "workspace": "."}
     shell("validate", "app.yaml")
     below, _ = imported(shell, node("my_nav", "a"), name="below", at="robot_ws/src/group/my_nav")
     assert below["ros"]["workspace"] == "robot_ws"
@@ -177,7 +178,12 @@ def test_robot_nodes_and_a_rented_machine_without_a_link_are_a_warning(
     shell: Shell, parts: dict[str, str], warned: bool
 ) -> None:
     shell.write("specs/work.py", "")
-    both = {"robot": "[{package: a, executable: b}]", "ros": "{}", "probe": TOPICS, "benchmark": WORKLOAD} | parts
+    both = {
+        "robot": "[{package: a, executable: b}]",
+        "ros": "{distro: humble}",
+        "probe": TOPICS,
+        "benchmark": WORKLOAD,
+    } | parts
     shell.write("specs/demo.yaml", spec(**both))
     said = shell("validate", "specs/demo.yaml").err
     assert ("warning[FS561]: spec.robot has nodes" in said) is warned

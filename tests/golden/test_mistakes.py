@@ -41,7 +41,7 @@ spec:
     budget: $5
     stop: {duration: 1min}
 """
-ROS = "  ros: {distro: jazzy}\n"
+ROS = "  ros: {distro: humble}\n"
 MERGED = "<<<<<<< HEAD\n    alpha: 0.7\n=======\n    alpha: 0.5\n>>>>>>> main\n"
 
 

@@ -67,7 +67,7 @@ class Role:
 
 # By the pattern of the path; the first that matches counts.
 ROLES = {
-    "specs/demo/demo.yaml": Role(value("distro: jazzy", "distro: humble"), measured=True),
+    "specs/demo/demo.yaml": Role(value("apt: [curl]", "apt: [wget]"), measured=True),
     "specs/demo/demo.lock": Role(value("sha256:.{4}", "sha256:0000"), measured=True),
     "specs/demo/*": Role(longer, measured=True),
     "environments/prod.yaml": Role(value("alpha: 1", "alpha: 0"), frozenset({"demo@prod"})),
@@ -122,7 +122,7 @@ def build(shell: Shell) -> None:
             cloud="[{cmd: [python3, work.py]}, {package: arm, executable: plan, parameter_files: [parameters.yaml]}]",
             probe="{request: /image, response: /grasp}",
             library="../../library.json",
-            ros="{distro: jazzy}",
+            ros="{distro: humble, apt: [curl]}",
             benchmark="{budget: $5, stop: {requests: 20, duration: 1min}, ready_timeout: 1min, workload: {bag: run.mcap}}",
         )
         shell.write(f"{at}/{name}.yaml", text)

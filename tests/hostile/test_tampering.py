@@ -118,7 +118,7 @@ def whole(shell: Shell) -> Shell:
             made,
             cloud="[{cmd: [python3, work.py]}, {package: p, executable: e}]",
             robot="[{package: p, executable: r}]",
-            ros="{distro: jazzy}",
+            ros="{distro: humble}",
             deployment="{fallbacks: 1}",
         )
         made("lock", *AT)

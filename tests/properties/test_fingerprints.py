@@ -23,7 +23,7 @@ metadata: {name: full}
 spec:
   cloud: [{package: p, executable: e, name: c, composable_node_descriptions: [{package: p, plugin: "p::A"}]}]
   robot: [{package: p, executable: e, name: r, composable_node_descriptions: [{package: p, plugin: "p::A"}]}]
-  ros: {distro: jazzy}
+  ros: {distro: humble}
   probe: {callback: plan}
   metrics: {length: {callback: length, unit: m}}
   constraints: {latency: 2s, metrics: {length: 3}}

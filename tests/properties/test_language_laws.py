@@ -73,7 +73,8 @@ def applications(draw: st.DrawFn) -> Application:
         env=draw(st.dictionaries(texts.filter(bool), texts, max_size=2)),
     )  # fmt: skip
     spec = Spec(
-        cloud=[node], ros=Ros(setup=draw(st.lists(texts, max_size=2))), probe=Probe(callback="plan"), infra=["aws"],
+        cloud=[node], ros=Ros(distro="humble", setup=draw(st.lists(texts, max_size=2))), probe=Probe(callback="plan"),
+        infra=["aws"],
         constraints=Constraints(latency=optional(short), cost=optional(positive), price=optional(positive)),
         objective=Objective(alpha=draw(st.floats(0, 1)), scale=Scale(latency=optional(positive), cost=optional(positive)),
                             load=Load(rate=draw(positive))),

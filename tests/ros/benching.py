@@ -30,7 +30,8 @@ def write_spec(net: Net, spec: dict[str, Any]) -> Path:
     } | spec.pop("benchmark", {})  # fmt: skip
     whole = {
         "apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "robot"},
-        "spec": {"infra": ["aws/us-east-1"], "hardware": {"cpus": "1..2"}, "benchmark": benchmark, "ros": {}, **spec},
+        "spec": {"infra": ["aws/us-east-1"], "hardware": {"cpus": "1..2"}, "benchmark": benchmark,
+                 "ros": {"image": "docker.io/library/ros:jazzy"}, **spec},
     }  # fmt: skip
     path = net.folder / "specs" / "robot.yaml"
     path.parent.mkdir(exist_ok=True)

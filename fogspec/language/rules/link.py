@@ -8,6 +8,7 @@ from fogspec.base.credentials import kind_of
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.language.graph_names import exposed, resolve
 from fogspec.language.rules.finding import Finding
+from fogspec.language.rules.machines import lacks, ros_block
 from fogspec.language.schema import Application
 
 LINK: Path = ("spec", "connectivity", "link")
@@ -18,12 +19,13 @@ def what_a_link_needs(application: Application) -> Iterator[Finding]:
     spec, ros = application.spec, ("spec", "ros")
     if spec.connectivity.link == "zenoh" and spec.ros is None:
         message = "spec.connectivity.link zenoh joins ROS 2 graphs, and spec.ros is missing"
-        yield Finding("FS541", LINK, message, "add 'ros: {distro: jazzy}', or write wireguard", (ros,))
+        yield Finding("FS541", LINK, message, f"add '{ros_block(spec.infra)}', or write wireguard", (ros,))
     if spec.connectivity.link != "wireguard" or spec.ros is None:
         return
     if spec.ros.distro == "humble":
         message = "spec.connectivity.link wireguard needs ROS_STATIC_PEERS, which humble does not have"
-        yield Finding("FS541", LINK, message, "write zenoh, or distro: jazzy", ((*ros, "distro"),))
+        jazzy = "" if any(lacks("jazzy", place) for place in spec.infra) else ", or distro: jazzy"
+        yield Finding("FS541", LINK, message, f"write zenoh{jazzy}", ((*ros, "distro"),))
     if spec.ros.image is not None:
         message = "spec.connectivity.link wireguard makes a network interface, which SkyPilot's containers must not"
         yield Finding("FS541", LINK, message, "write zenoh, or remove ros.image", ((*ros, "image"),))

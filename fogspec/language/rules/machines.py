@@ -3,11 +3,11 @@
 import re
 from collections.abc import Iterator, Sequence
 
-from fogspec.base.clouds import CLOUDS, cloud_name
+from fogspec.base.clouds import CLOUDS, cloud_name, cloud_of
 from fogspec.base.units import Range, format_memory, format_number
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.language.rules.finding import Finding
-from fogspec.language.schema import LOCAL_SHAPE, Application
+from fogspec.language.schema import LOCAL_SHAPE, UBUNTU, Application
 from fogspec.language.suggest import closest
 
 # SkyPilot's names of the accelerators that the large clouds rent, as of version 0.14.
@@ -17,6 +17,7 @@ GPUS = (
     "RTX6000", "RTXPRO6000", "A4000", "A5000", "A6000", "MI25", "MI300X", "Radeon MI25", "Radeon Pro V520", "Gaudi HL-205",
     "Inferentia", "Inferentia2", "Trainium", "Trainium2", "RTX3090", "RTX4090", "RTX5090",
 )  # fmt: skip
+OFFICIAL_IMAGE = "docker.io/library/ros:{}"
 INFRA = re.compile(r"kubernetes/[A-Za-z0-9*_.:/@-]+|[a-z0-9-]+(/[A-Za-z0-9*_.-]+){0,2}")
 INSTANCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+:-]*")  # of Slurm and Kubernetes: 4CPU--16GB--T4:1
 
@@ -149,4 +150,35 @@ def shapes(application: Application) -> Iterator[Finding]:
         yield Finding("FS535", (*at, "memory_per_cpu"), message, "widen one of cpus, memory, memory_per_cpu", about)
 
 
-RULES = (places, gpus, listed_once, sampled_machines, shapes)
+def lacks(distro: str, place: str) -> bool:
+    """Return whether machines of a place are known to have another Ubuntu than that of a ROS 2 distribution."""
+    cloud = CLOUDS.get(cloud_name(place))
+    return cloud is not None and cloud.ubuntu not in (None, UBUNTU[distro])
+
+
+def ros_block(infra: Sequence[str]) -> str:
+    """Return the spec's words for a ROS 2 environment that machines at these places can have."""
+    image = f", image: {OFFICIAL_IMAGE.format('jazzy')}" if any(lacks("jazzy", place) for place in infra) else ""
+    return f"ros: {{distro: jazzy{image}}}"
+
+
+def distribution(application: Application) -> Iterator[Finding]:
+    """Require an image where the machines' own Ubuntu has no packages of the ROS 2 distribution."""
+    spec = application.spec
+    if spec.ros is None or spec.ros.image is not None:
+        return
+    distro, tunnel = spec.ros.distro, spec.connectivity.link == "wireguard"
+    for i, place in enumerate(spec.infra):
+        if not lacks(distro, place):
+            continue
+        cloud, image = cloud_of(place), f"'image: {OFFICIAL_IMAGE.format(distro)}'"
+        yield Finding(
+            "FS548",
+            ("spec", "infra", i),
+            f"machines of {cloud.name} have Ubuntu {cloud.ubuntu}, and ROS 2 {distro} comes for {UBUNTU[distro]}",
+            f"write 'link: zenoh', and add {image} to spec.ros" if tunnel else f"add {image} to spec.ros",
+            (("spec", "ros"), *([("spec", "connectivity", "link")] if tunnel else [])),
+        )
+
+
+RULES = (places, gpus, listed_once, sampled_machines, shapes, distribution)

@@ -11,6 +11,7 @@ from fogspec.language.lockfile import REGISTRY_LOGIN, registry_login
 from fogspec.language.named_files import all_nodes
 from fogspec.language.robot_packages import MOVING_TOPIC, moving_names, why_moving
 from fogspec.language.rules.finding import Finding
+from fogspec.language.rules.machines import ros_block
 from fogspec.language.schema import Application, ComposableNode, Node, Spec
 
 ROS_WORDS = ("package", "executable", "name", "namespace", "parameters", "parameter_files", "remappings",
@@ -70,7 +71,7 @@ def environment_of_nodes(application: Application) -> Iterator[Finding]:
         named += [(("spec", "probe", kind), getattr(probe, kind)) for kind in ("request", "service", "action")]
     needs += [(path, "is observed in a ROS 2 graph") for path, name in named if name is not None]
     for path, what in needs[:1] if spec.ros is None else []:
-        fix = "add 'ros: {distro: jazzy}' to spec, with its workspace, apt or image for your packages"
+        fix = f"add '{ros_block(spec.infra)}' to spec, with its workspace, apt or image for your packages"
         yield Finding("FS503", path, f"spec.ros is missing, and {dotted(path)} {what}", fix, (("spec", "ros"),))
 
 

@@ -93,7 +93,7 @@ metadata: { name: arm }
 spec:
   cloud: [{ name: planner, package: a, executable: b }]
   robot: [{ name: camera, package: a, executable: e, parameters: { model: m, gain: 1.0 } }]
-  ros: { distro: jazzy }
+  ros: { distro: humble }
   probe: { callback: plan }
   constraints: { latency: 2s, cost: $1/request }
   hardware: { gpus: [none, T4] }

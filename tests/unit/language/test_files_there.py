@@ -15,7 +15,7 @@ spec:
   cloud:
     - {NODE}
   robot: [{ package: elsewhere, executable: x, parameter_files: [on-the-robot.yaml] }]
-  ros: { distro: jazzy, workspace: ws, apt: [ros-jazzy-nav2-planner] }
+  ros: { distro: jazzy, image: 'ros:jazzy', workspace: ws, apt: [ros-jazzy-nav2-planner] }
   probe: { request: /a, response: /b }
   infra: [aws/us-east-1]
   benchmark: { budget: $2.50, workload: { node: { cmd: [play] } } }
@@ -137,7 +137,7 @@ def test_a_command_in_one_text_gets_the_list_as_its_fix(shell: Shell) -> None:
 
 
 KINDS = {
-    "workspace": ("ros: {distro: jazzy, workspace: ws}", "spec.ros.workspace names ws"),
+    "workspace": ("ros: {distro: humble, workspace: ws}", "spec.ros.workspace names ws"),
     "parameter file": (
         "cloud: [{package: a, executable: b, parameter_files: [p.yaml]}]", "spec.cloud[0].parameter_files[0] names p.yaml"
     ),
@@ -161,7 +161,7 @@ VERBS = (
 def test_every_command_that_plans_pins_or_starts_says_the_same_and_writes_nothing(kind: str, shell: Shell) -> None:
     field, says = KINDS[kind]
     whole = {
-        "cloud": "[{cmd: [/bin/true]}]", "probe": "{request: /a, response: /b}", "ros": "{distro: jazzy}",
+        "cloud": "[{cmd: [/bin/true]}]", "probe": "{request: /a, response: /b}", "ros": "{distro: humble}",
         "infra": "[aws/us-east-1]", "benchmark": "{budget: $2.50}",
     }  # fmt: skip
     key, _, value = field.partition(": ")

@@ -21,7 +21,7 @@ kind: Application
 metadata: { name: arm }
 spec:
   cloud: [{ package: a, executable: b, parameters: { value: VALUE } }]
-  ros: { distro: jazzy }
+  ros: { distro: humble }
   probe: { callback: plan }
   infra: [aws]
   benchmark: { budget: $2.50 }

@@ -15,7 +15,7 @@ spec:
   benchmark: {benchmark}
 {more}
 """
-ROS = "  ros: {}"
+ROS = "  ros: { distro: humble }"
 
 
 def said(
@@ -83,7 +83,7 @@ def said(
         ({"cloud": "{ cmd: [python3, ../nodes/plan.py] }"}, ["FS507"]),
         ({"benchmark": "{ budget: $1, workload: { node: { cmd: [python3, a/../../client.py] } } }"}, ["FS507"]),
         ({"more": "  robot: [{ cmd: [python3, ../camera.py] }]"}, []),
-        ({"cloud": "{ package: a, executable: b }", "more": "  ros: {}"}, []),
+        ({"cloud": "{ package: a, executable: b }", "more": ROS}, []),
         ({"more": "  constraints: { latency: 5min }"}, ["FS520"]),
         ({"more": "  constraints: { latency: 0s }"}, ["FS519"]),
         ({"more": "  objective: { load: { rate: 1/s, sessions: 1/day } }"}, ["FS518"]),
