@@ -18,7 +18,9 @@ from tests.ros.namespaces import PYTHON, ROOT
 from tests.support.jobs import GENERATED
 
 APT_GET = """\
-[ "$1" = install ] || exit 0
+case " $* " in *" install "*) ;; *) exit 0;; esac
+while [ "$1" != install ]; do shift; done
+shift
 for name in "$@"; do case $name in -*) ;; *) echo "$name" >> "$HOME/installed" ;; esac; done
 """
 DPKG_QUERY = """\

@@ -10,15 +10,36 @@ unset VIRTUAL_ENV CONDA_PREFIX CONDA_DEFAULT_ENV CONDA_PYTHON_EXE
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 export DEBIAN_FRONTEND=noninteractive
 can_be_root() { [ "$(id -u)" = 0 ] || sudo -n true 2>/dev/null; }
+# By name: the sudo of newer Ubuntus does not keep the environment as a whole.
+kept=(DEBIAN_FRONTEND="$DEBIAN_FRONTEND")
+for name in http_proxy https_proxy no_proxy HTTP_PROXY HTTPS_PROXY NO_PROXY; do
+  [ -z "${!name-}" ] || kept+=("$name=${!name}")
+done
 as_root() {
   if [ "$(id -u)" = 0 ]; then "$@"
-  elif can_be_root; then sudo -E "$@"
+  elif can_be_root; then sudo env "${kept[@]}" "$@"
   else printf 'only root can do this here, and this user is not: %s\n' "$*" >&2; exit 1
   fi
 }
-# An image comes without package lists, and a second set-up needs no newer ones.
+# Servers of packages fail now and then, or refuse a cloud's addresses for a moment.
+patiently() {
+  local pause_s
+  for pause_s in 5 20 60; do
+    if "$@"; then return; fi
+    printf 'in %s s once more: %s\n' "$pause_s" "$*" >&2
+    sleep "$pause_s"
+  done
+  "$@"
+}
+# The machine's own daily update may hold the lock.
+ask_apt() { as_root apt-get -qq -o DPkg::Lock::Timeout=300 -o Acquire::Retries=5 "$@"; }
+# An image comes without package lists, and a second set-up needs no newer ones. Where a source cannot be read, as one whose key
+# has expired, what the others have may be enough.
 apt_is_fresh=
-update_apt() { [ -n "$apt_is_fresh" ] || as_root apt-get update -qq; apt_is_fresh=yes; }
+update_apt() {
+  [ -n "$apt_is_fresh" ] || ask_apt update || printf 'apt-get update failed: it goes on with the lists that are here\n' >&2
+  apt_is_fresh=yes
+}
 # Nothing is asked of root where all of it is there: the users of a cluster are not root.
 needs() {
   local name absent=()
@@ -31,7 +52,7 @@ needs() {
     exit 1
   fi
   update_apt
-  as_root apt-get install -qq -y --no-install-recommends -- "${absent[@]}"
+  ask_apt install -y --no-install-recommends -- "${absent[@]}"
 }
 # shellcheck disable=SC1090
 with_ros() { set +u; . "$1"; set -u; }
@@ -47,7 +68,7 @@ if [ ! -e "$ros" ]; then
   package=$(mktemp --suffix=.deb)
   curl -fsSL --retry 5 -o "$package" "https://github.com/ros-infrastructure/ros-apt-source/releases/download/1.2.0/ros2-apt-source_1.2.0.jammy_all.deb"
   echo "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433 $package" | sha256sum --strict --check --status
-  as_root apt-get install -qq -y "$package"
+  ask_apt install -y "$package"
   rm -f "$package"
   apt_is_fresh=
   needs ros-humble-ros-base

@@ -24,9 +24,12 @@ TIMINGS = b"timings.jsonl"
 MEASURES = b"=== fogspec measures ==="
 SO_FAR = re.compile(rb"=== fogspec so far: (\d{1,12}) requests(?:, mean ([0-9.e+-]{1,24}) s)? ===")
 READ_BYTES = 2**20
-# The kernel's words, Slurm's, and those of Ray's monitor (docs.ray.io, "Out-Of-Memory Prevention"), which runs beside the job.
+# The kernel's words, Slurm's, those of Ray's monitor (docs.ray.io, "Out-Of-Memory Prevention"), which runs beside the job, and
+# those of a compiler.
 OOM = re.compile(
-    rb"oom[-_ ]kill|out of memory|killed due to (?:the node running low on memory|memory pressure)", re.IGNORECASE
+    rb"oom[-_ ]kill|out of memory|killed due to (?:the node running low on memory|memory pressure)"
+    rb"|Killed signal terminated program",
+    re.IGNORECASE,
 )
 TAIL_BYTES = 16 * 2**10
 

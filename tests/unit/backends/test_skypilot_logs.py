@@ -122,5 +122,7 @@ def test_a_job_ended_for_want_of_memory_is_told_from_others(tmp_path: Path) -> N
     assert logs.out_of_memory(ProjectFiles(tmp_path), log)
     log.write_bytes(b"ray.exceptions.OutOfMemoryError: Task was killed due to the node running low on memory.\n")
     assert logs.out_of_memory(ProjectFiles(tmp_path), log)
+    log.write_bytes(b"c++: fatal error: Killed signal terminated program cc1plus\ncompilation terminated.\n")
+    assert logs.out_of_memory(ProjectFiles(tmp_path), log)
     log.write_bytes(b"Segmentation fault\n")
     assert not logs.out_of_memory(ProjectFiles(tmp_path), log)

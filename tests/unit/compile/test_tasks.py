@@ -262,6 +262,24 @@ def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
         ]  # fmt: skip
 
 
+@pytest.mark.parametrize("image", [None, "docker.io/library/ros:jazzy"])
+def test_python_is_that_of_the_set_up_and_not_the_job_runners(tmp_path: Path, image: str | None) -> None:
+    """SkyPilot's machines have Miniconda's first in PATH; what an image has there is the image's."""
+    for name in ("miniconda3/bin", "skypilot-runtime/bin", "mine/bin"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "python3").write_text(f"#!/bin/sh\necho {name}\n")
+        (tmp_path / name / "python3").chmod(0o755)
+    script = rendered_sample(application(ros={"image": image}))
+    script = script.replace("/opt/ros/jazzy/setup.bash", "/dev/null")
+    places = ["miniconda3/bin", "skypilot-runtime/bin", "miniconda3/condabin", "mine/bin"]
+    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, timeout=600, env={
+        "PATH": ":".join([*(f"{tmp_path}/{one}" for one in places), "/usr/bin", "/bin"]), "HOME": str(tmp_path),
+        "SKYPILOT_TASK_ID": "x",
+    })  # fmt: skip
+    said = run.stdout.splitlines()
+    assert ("mine/bin" in said, "miniconda3/bin" in said) == (image is None, image is not None), run.stderr
+
+
 HOSTILE = """import os, sys
 out = sys.argv[sys.argv.index("--out") + 1]
 os.makedirs(out)
@@ -399,8 +417,9 @@ def test_setting_up_twice_installs_builds_and_logs_and_runs_its_own_lines_once(t
                        env={"PATH": "/usr/bin:/bin", "HOME": str(home)})  # fmt: skip
     said = (home / "said").read_text()
     assert said.count("mine") == 1
-    assert said.count("apt-get update") == 2, "once each time"
-    assert "apt-get install -qq -y --no-install-recommends -- ros-jazzy-x a b" in said
+    assert said.count(" update\n") == 2, "once each time"
+    assert " install -y --no-install-recommends -- ros-jazzy-x a b\n" in said
+    assert said.count("apt-get ") == said.count("apt-get -qq -o DPkg::Lock::Timeout=300 -o Acquire::Retries=5 ")
     assert said.count(f"in {tmp_path / workspace}") == 2
     assert "curl" not in said, "ROS 2 is there already"
     assert "ROS 2 jazzy is ready" in (home / ".fogspec" / "setup.log").read_text()
@@ -450,6 +469,51 @@ def test_who_is_not_root_builds_the_workspace_with_what_is_there(tmp_path, there
     else:
         assert run.returncode == 1
         assert "this user is not: python3-colcon-common-extensions" in log
+
+
+def test_what_machines_and_servers_do_now_and_then_does_not_end_a_set_up(tmp_path: Path) -> None:
+    """A source that cannot be read, a server of rosdep's that fails twice, a sudo that keeps nothing, 16 CPUs with 8 GiB."""
+    tools, ros = tmp_path / "bin", tmp_path / "ros"
+    for folder in (tools, tmp_path / "ws" / "src", ros / "jazzy"):
+        folder.mkdir(parents=True)
+    (ros / "jazzy" / "setup.bash").write_text("")
+    fakes = FAKES | {
+        "id": "echo 1000",
+        "sudo": f'[ "$1" = -n ] && exit; exec env -i PATH="{tools}:$PATH" HOME="$HOME" "$@"',
+        "apt-get": 'echo "apt-get $DEBIAN_FRONTEND $https_proxy $*" >> "$HOME/said"; case $* in *update*) exit 100; esac',
+        "rosdep": 'echo "rosdep $*" >> "$HOME/said"; [ "$(grep -c "rosdep update" "$HOME/said")" -gt 2 ] || [ "$1" != update ]',
+        "colcon": f'echo "colcon $MAKEFLAGS $*" >> "$HOME/said"; {FAKES["colcon"]}',
+        "sleep": "exit 0", "nproc": "echo 16",
+    }  # fmt: skip
+    for name, body in fakes.items():
+        (tools / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tools / name).chmod(0o755)
+    (tmp_path / "meminfo").write_text("MemTotal: 8388608 kB\nMemAvailable: 7864320 kB\n")
+    (tmp_path / "limit").write_text("max\n")
+    app = application(
+        ros={"workspace": "ws", "apt": ["x"], "setup": ['echo "pip $PIP_BREAK_SYSTEM_PACKAGES" >> ~/said']}
+    )
+    script = render("setup.sh.j2", **GENERATED, **ros_environment(app.spec)).replace("/opt/ros", str(ros))
+    script = script.replace("export PATH=", f"export PATH={tools}:").replace("/proc/meminfo", str(tmp_path / "meminfo"))
+    script = script.replace("/sys/fs/cgroup/memory.max", str(tmp_path / "limit"))
+
+    def compilers() -> str:
+        subprocess.run(["bash", "-c", script], cwd=tmp_path, check=True, capture_output=True, timeout=600,
+                       env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "https_proxy": "http://here:3128"})  # fmt: skip
+        (asked,) = (line for line in (tmp_path / "said").read_text().splitlines() if line.startswith("colcon -j"))
+        return asked
+
+    assert compilers().startswith("colcon -j5 build --executor sequential ")
+    said = (tmp_path / "said").read_text()
+    assert said.count("rosdep update") == 3
+    assert "apt-get noninteractive http://here:3128 -qq" in said
+    assert "pip 1" in said
+    log = (tmp_path / ".fogspec" / "setup.log").read_text()
+    assert "apt-get update failed: it goes on with the lists that are here" in log
+    assert "in 20 s once more: rosdep update --rosdistro jazzy" in log
+    (tmp_path / "limit").write_text(f"{4 * 2**30}\n")
+    (tmp_path / "said").write_text("rosdep update\n" * 2)
+    assert compilers().startswith("colcon -j2 "), "a pod has no more than its limit"
 
 
 @pytest.mark.parametrize(
