@@ -11,7 +11,9 @@ from pathlib import Path
 from fogspec.agent.processes import Process, below, living, offspring, send
 from fogspec.base import child
 
-CHECKS = 4
+PROC = "/proc"
+KERNELS = 0x00200000  # PF_KTHREAD in include/linux/sched.h
+CHECKS, CHECK_S = 4, 0.03
 KILL_S = 10.0
 Find = Callable[[], set[int]]
 
@@ -24,14 +26,31 @@ def marked(variable: str, value: str) -> list[int]:
 
 
 def environments() -> Iterator[tuple[int, list[bytes]]]:
-    """Yield every readable process with the entries of its environment."""
-    for entry in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError), open(f"/proc/{entry}/environ", "rb") as file:
-            yield int(entry), file.read().split(b"\0")
+    """Yield every readable process with the entries of its environment; one that is in exec has none, and is waited for."""
+    left = [int(entry) for entry in os.listdir(PROC) if entry.isdigit()]
+    for check in range(CHECKS):
+        if check and not (left := [pid for pid in left if _in_exec(pid)]):
+            return
+        if check:
+            time.sleep(CHECK_S)
+        for pid in list(left):
+            with contextlib.suppress(OSError):
+                content = Path(PROC, str(pid), "environ").read_bytes()
+                if content:
+                    left.remove(pid)
+                    yield pid, content.split(b"\0")
+
+
+def _in_exec(pid: int) -> bool:
+    """Return whether a process without an environment has no arguments either, and is neither a zombie nor the kernel's."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        state, *rest = Path(PROC, str(pid), "stat").read_bytes().rpartition(b")")[2].split()
+        return state not in b"ZX" and not int(rest[5]) & KERNELS and not Path(PROC, str(pid), "cmdline").read_bytes()
+    return False
 
 
 def found(variable: str, value: str) -> list[int]:
-    """Like `marked`, but recheck before reporting none: during exec a process has no environ."""
+    """Like `marked`, but recheck before reporting none."""
     return sorted(_rechecked(lambda: set(marked(variable, value))))
 
 
@@ -115,7 +134,7 @@ def _rechecked(find: Find) -> set[int]:
     for _ in range(CHECKS - 1):
         if pids := find():
             return pids
-        time.sleep(0.03)
+        time.sleep(CHECK_S)
     return find()
 
 
