@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleBackend, SampleStatus, Unreachable
 from fogspec.base import units
 from fogspec.base.clock import Clock
-from fogspec.base.clouds import cloud_name
+from fogspec.base.clouds import cloud_name, split_infra
 from fogspec.base.errors import Refused
 from fogspec.bench.attempt import STOP_PATIENCE_S, Attempt, outlived
 from fogspec.bench.journal import Journal, LaunchRecord
@@ -37,7 +37,7 @@ class Campaign:
     Once it is `halted` it starts nothing more, and waits for what runs. On a paid cloud that is not `proven`, where no request
     was answered so far, the cheapest machine starts alone: it shows mistakes for all. `left` has the names of machines that
     could not be verified gone; `denied` is why no machine is available at all, `denied_usd` what machines cost that were up
-    when that was found out.
+    when that was found out. `room` is for how many of its own machines a region has quota, where that was met.
     """
 
     config: CampaignConfig
@@ -53,6 +53,7 @@ class Campaign:
     retry: RetryPolicy = field(default_factory=RetryPolicy)
     proven: set[str] = field(default_factory=set)
     mistakes: Counter[tuple[str, str]] = field(default_factory=Counter)
+    room: dict[str, int] = field(default_factory=dict)
     left: list[str] = field(default_factory=list)
     unstopped: list[Attempt] = field(default_factory=list)
     looked_s: float | None = None
@@ -165,7 +166,9 @@ class Campaign:
     def _start_what_fits(self) -> None:
         now = self.clock.now_s()
         for entry in list(self.queue):
-            if entry.not_before_s > now or len(self.running) >= self.backend.at_once or self._waits(entry):
+            if entry.not_before_s > now or len(self.running) >= self.backend.at_once:
+                continue
+            if self._waits(entry) or self._has_no_room(entry.sample):
                 continue
             commitment = self.config.commitment.usd(self.price(entry.sample))
             budget = self.config.budget_usd
@@ -186,6 +189,16 @@ class Campaign:
             return True
         queued = (one.sample for one in self.queue if cloud_name(one.sample.machine.infra) == cloud)
         return min(queued, key=lambda one: one.machine.price).machine.price < entry.sample.machine.price
+
+    def _has_no_room(self, sample: Sample) -> bool:
+        """Return whether one of its own machines in the region has to end first, because together they use up the quota."""
+        room = self.room.get(_region(sample))
+        return room is not None and self._others(sample) >= room
+
+    def _others(self, sample: Sample) -> int:
+        """Return the number of machines in a sample's region, that of another attempt at it not included."""
+        started = (one.started.sample for one in self.running.values())
+        return sum(_region(one) == _region(sample) and one.id != sample.id for one in started)
 
     def is_halted(self) -> bool:
         """Return whether what ended shows that the others would end alike.
@@ -326,6 +339,8 @@ class Campaign:
                 self._deny(end)
             wanted = False
         pause_s = None if self.stopping() or not wanted else self.retry.pause_s(sample.id, end)
+        if wanted and not self.stopping() and end.reason == "quota" and (others := self._others(sample)):
+            self.room[_region(sample)], pause_s = others, 0.0  # they are its own, and will end
         if not wanted or pause_s is not None:
             self.journal.end(started.name, spent_usd, None, self.clock)
             self.sink.paid(sample, self.journal.state.spent_usd)
@@ -408,3 +423,8 @@ class Campaign:
             ends_s=None if attempt is None else attempt.since_s + self.config.commitment.deadline_s,
         )
         self.report(event)
+
+
+def _region(sample: Sample) -> str:
+    """Return the cloud and region of a sample's machine, to which a quota applies."""
+    return "/".join(split_infra(sample.machine.infra)[:2])

@@ -138,6 +138,50 @@ def test_what_is_spent_is_never_less_than_the_bill_whatever_is_said(told, monkey
     assert campaign.journal.state.spent_usd >= sum(bills.values()) * (1 - 1e-9)
 
 
+def with_quota(monkeypatch, world, cpus):
+    """Machines that would have more vCPUs together are refused, after a while; returns how many vCPUs ran at most."""
+    start, poll, most, refused = FaultyBackend.start, FaultyBackend.poll, [0], set()
+
+    def size(name):
+        return 2 ** int(world.machines[name].sample[1:])
+
+    def started(self, job):
+        start(self, job)
+        up = sum(size(name) for name, one in world.machines.items() if one.ended is None and name not in refused)
+        if up > cpus:
+            refused.add(job.name)
+            world.machines[job.name].ended = world.now
+        most[0] = max(most[0], up if up <= cpus else 0)
+
+    def polled(self, job):
+        if job.name in refused:
+            return SampleStatus(running=False, reason="quota", detail="VcpuLimitExceeded", ready=False, billed_s=0.0)
+        return poll(self, job)
+
+    monkeypatch.setattr(FaultyBackend, "start", started)
+    monkeypatch.setattr(FaultyBackend, "poll", polled)
+    return most
+
+
+def test_machines_that_use_up_the_quota_together_are_measured_one_after_the_other(told, monkeypatch):
+    """1, 2, 4, 8 and 16 vCPUs, where 16 are allowed at once: all would fit, and half of them were failed for good."""
+    campaign, events, world = told
+    most = with_quota(monkeypatch, world, 16)
+    campaign.run(samples(5))
+    assert {one.id: one.state for one in world.disk["samples"].values()} == {f"s{n}": "ok" for n in range(5)}
+    assert most[0] == 16 or most[0] == 15
+    assert EventKind.RETRIED in [one.kind for one in events]
+    assert all(one.ended is not None for one in world.machines.values())
+
+
+def test_a_machine_that_is_beyond_the_quota_alone_fails_and_the_others_are_measured(told, monkeypatch):
+    campaign, _, world = told
+    with_quota(monkeypatch, world, 8)
+    campaign.run(samples(5))
+    found = {one.id: (one.state, one.reason) for one in world.disk["samples"].values()}
+    assert found == {f"s{n}": ("ok", None) for n in range(4)} | {"s4": ("failed", "quota")}
+
+
 def test_a_machine_that_the_cloud_does_not_have_makes_way_for_the_next(told, monkeypatch):
     campaign, _, world = told
     campaign.proven.clear()
