@@ -8,12 +8,13 @@ cloud has accepted the request, and does not verify the result: in 0.14.1 the ch
 query a machine without a record, but its configuration stays in the API server's database. A launch that was cut off may leave
 a machine that the cloud does not list yet.
 
-A timer, set by a machine's first boot, that turns it off: an end without any supervisor. SkyPilot arms autostop once a machine
-has booted and has its files. Until then, only what the cloud does with the machine's user data can end it. On AWS SkyPilot adds
-the commands of `aws.post_provision_runcmd` to the user data. A task cannot set them; the client's configuration can, which goes
-along with each request.
+Timers, set by a machine's first boot, that turn it off: an end without any supervisor, which a reboot does not undo. SkyPilot
+arms autostop once a machine has booted and has its files. Until then, only what the cloud does with the machine's user data can
+end it. On AWS SkyPilot adds the commands of `aws.post_provision_runcmd` to the user data. A task cannot set them; the client's
+configuration can, which goes along with each request.
 """
 
+import base64
 import contextlib
 import threading
 import time
@@ -23,12 +24,31 @@ from typing import Any
 from sky import global_user_state, provision, skypilot_config
 
 from fogspec.backends.skypilot.errors import CloudProblem
-from fogspec.base.clouds import cloud_of
+from fogspec.base.clouds import OwnEnd, cloud_of
 from fogspec.plan.commitment import power_off_s
 
 TIMEOUT_S = 90.0
 POLL_S = 1.0
 KEYS = ("aws", "post_provision_runcmd")
+REBOOTED_S = 900.0  # for whoever rebooted it to look around
+# Of a machine's first boot. Its units stay on its disk: nothing starts job, skylet and autostop again after a reboot, so that a
+# machine which no one uses would be paid until somebody looks. The date holds after a reboot, and the time since the boot
+# where the clock was wrong.
+FIRST_BOOT = """\
+units=/etc/systemd/system
+unit() { printf '%s\\n' '[Unit]' 'Description=fogspec ends this machine' "$@" >"$units/$unit"; }
+unit=fogspec-end.service
+unit '[Service]' Type=oneshot 'ExecStart=/usr/bin/systemctl poweroff'
+timer() { unit '[Timer]' "$@" Unit=fogspec-end.service '[Install]' WantedBy=timers.target && systemctl daemon-reload; }
+unit=fogspec-rebooted.timer
+timer OnBootSec=@REBOOTED_S@ && systemctl enable "$unit"
+seconds=@SECONDS@
+[ -n "$seconds" ] || exit 0
+unit=fogspec-end.timer
+date=$(date -u -d "+$seconds seconds" '+%Y-%m-%d %H:%M:%S UTC')
+if timer "OnBootSec=$seconds" "OnCalendar=$date" Persistent=true && systemctl enable --now "$unit"; then exit 0; fi
+systemd-run "--on-boot=$seconds" systemctl poweroff
+"""
 _LOCK = threading.Lock()  # the configuration is the whole process's
 
 
@@ -72,13 +92,23 @@ def _config_of(name: str) -> Mapping[str, Any] | None:
 
 @contextlib.contextmanager
 def power_off_armed(task: Mapping[str, Any]) -> Iterator[None]:
-    """Within this, requests to launch the task turn its machine off when its longest time is over, if it has one."""
-    seconds = power_off_s(task)
-    if seconds is None:
+    """Within this, requests to launch the task turn its machine off when its longest time is over, or after a reboot."""
+    infra = str((task.get("resources") or {}).get("infra", ""))
+    if cloud_of(infra).own_end is not OwnEnd.POWER_OFF:
         yield
         return
-    command = f"systemd-run --on-boot={seconds:.0f} systemctl poweroff"
     with _LOCK:
         theirs = skypilot_config.get_nested(KEYS, default_value=None) or []
-        with skypilot_config.override_skypilot_config({KEYS[0]: {KEYS[1]: [command, *theirs]}}):
+        commands = [_first_boot(power_off_s(task)), *theirs]
+        with skypilot_config.override_skypilot_config({KEYS[0]: {KEYS[1]: commands}}):
             yield
+
+
+def _first_boot(seconds: float | None) -> str:
+    """Return the command that turns a machine off so long after its first boot (None: never), and after each later one.
+
+    SkyPilot writes it into YAML as it stands: it has no character that means something there.
+    """
+    script = FIRST_BOOT.replace("@REBOOTED_S@", f"{REBOOTED_S:.0f}")
+    script = script.replace("@SECONDS@", "" if seconds is None else f"{seconds:.0f}")
+    return f"echo {base64.b64encode(script.encode()).decode()} | base64 -d | sh"

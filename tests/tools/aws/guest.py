@@ -34,7 +34,17 @@ SetEnv PATH={path} AWS_ENDPOINT_URL={endpoint}
 Subsystem sftp internal-sftp
 """
 # There is no systemd. What is asked of it that matters here: to turn the machine off, now or later.
-SYSTEMCTL = '#!/bin/sh\n[ "$1" = poweroff ] && kill -TERM 1\nexit 0\n'
+SYSTEMCTL = """\
+#!/bin/sh
+case "$1 $2" in
+  poweroff*) kill -TERM 1 ;;
+  "enable --now")
+    seconds=$(sed -n 's/^OnBootSec=//p' "/etc/systemd/system/$3")
+    setsid sh -c 'sleep "$0"; exec systemctl poweroff' "$seconds" </dev/null >/dev/null 2>&1 &
+    ;;
+esac
+exit 0
+"""
 SYSTEMD_RUN = """\
 #!/bin/bash
 [[ $1 == --on-boot=* ]] || exit 1
@@ -148,6 +158,7 @@ def first_boot(told: dict[str, Any]) -> None:
     """What cloud-init does of the user data."""
     script("/usr/local/bin/systemctl", SYSTEMCTL)
     script("/usr/local/bin/systemd-run", SYSTEMD_RUN)
+    Path("/etc/systemd/system").mkdir(parents=True, exist_ok=True)
     data = yaml.safe_load(base64.b64decode(told["user_data"] or b"")) or {}
     commands(data.get("bootcmd", ()))
     for one in data.get("users", ()):

@@ -1,12 +1,18 @@
 """What SkyPilot is asked to do, with a SkyPilot in its place that only keeps books: launches, prices, machines, requests."""
 
+import base64
 import contextlib
 import importlib
 import os
+import re
+import shutil
+import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -618,22 +624,69 @@ def sample_task(minutes: int = 13, infra: str = "aws/us-east-1", **autostop: obj
     return {"run": "x", "resources": {"infra": infra, "autostop": end}}
 
 
-def test_a_samples_machine_on_aws_turns_itself_off(api: Any, sky: Sky) -> None:
+def first_boot(sky: Sky, folder: Path, enable: int = 0) -> list[str]:
+    """What the first boot of the machine that is configured asks of systemd; the units that it writes are in the folder."""
+    (command, *theirs) = sky.configured["aws"]["post_provision_runcmd"]
+    assert theirs == (sky.commands or [])
+    assert re.fullmatch(r"echo [A-Za-z0-9+/=]+ [|] base64 -d [|] sh", command), "it is YAML as it stands"
+    script = base64.b64decode(command.split()[1]).decode().replace("/etc/systemd/system", str(folder))
+    for name in ("systemctl", "systemd-run"):
+        (folder / name).write_text(f'#!/bin/sh\necho {name} "$@"\n[ "$1" != enable ] || exit {enable}\n')
+        (folder / name).chmod(0o755)
+    ran = subprocess.run(
+        ["sh", "-c", script], capture_output=True, text=True, env={"PATH": f"{folder}:{os.environ['PATH']}"}
+    )
+    assert ran.stderr == ""
+    return [line for line in ran.stdout.splitlines() if "daemon-reload" not in line]
+
+
+def verified(folder: Path) -> None:
+    units = [str(one) for one in folder.iterdir() if one.suffix in (".service", ".timer")]
+    assert units
+    if shutil.which("systemd-analyze") is not None:
+        done = subprocess.run(
+            ["systemd-analyze", "verify", "--recursive-errors=no", *units], capture_output=True, text=True
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_samples_machine_on_aws_turns_itself_off_also_after_a_reboot(api: Any, sky: Sky, tmp_path: Path) -> None:
     sky.commands = ["the user's own"]
+    before_s = time.time()
     api.launch(sample_task(), NAME, "/")
+    said = first_boot(sky, tmp_path)
+    assert said == ["systemctl enable fogspec-rebooted.timer", "systemctl enable --now fogspec-end.timer"]
+    end = (tmp_path / "fogspec-end.timer").read_text()
     # 13 minutes of life, and 5 until autostop is armed.
-    command = "systemd-run --on-boot=1080 systemctl poweroff"
-    assert sky.configured == {"aws": {"post_provision_runcmd": [command, "the user's own"]}}
+    assert "\nOnBootSec=1080\n" in end
+    (date,) = re.findall(r"^OnCalendar=(.*) UTC$", end, re.MULTILINE)
+    at_s = datetime.fromisoformat(f"{date}+00:00").timestamp()
+    assert before_s + 1079 <= at_s <= time.time() + 1080
+    assert "\nPersistent=true\n" in end, "a date that passes while the machine is down counts at its next boot"
+    rebooted = (tmp_path / "fogspec-rebooted.timer").read_text()
+    assert "\nOnBootSec=900\n" in rebooted
+    for timer in (end, rebooted):
+        assert "\nUnit=fogspec-end.service\n" in timer
+        assert "\nWantedBy=timers.target\n" in timer
+    assert "\nExecStart=/usr/bin/systemctl poweroff\n" in (tmp_path / "fogspec-end.service").read_text()
+    verified(tmp_path)
     assert sky.override is None, "the next launch is another one's"
     sky.commands = None
     api.launch(sample_task(1), NAME, "/")
-    assert sky.configured == {"aws": {"post_provision_runcmd": ["systemd-run --on-boot=360 systemctl poweroff"]}}
+    assert first_boot(sky, tmp_path, enable=1)[-1] == "systemd-run --on-boot=360 systemctl poweroff", (
+        "if units are refused"
+    )
 
 
-@pytest.mark.parametrize(
-    "task", [sample_task(infra="gcp/r1"), sample_task(wait_for="jobs"), {"run": "x"}, {"run": "x", "resources": {}}]
-)
-def test_a_deployment_and_other_clouds_have_no_such_timer(api: Any, sky: Sky, task: dict[str, Any]) -> None:
+def test_a_deployment_without_an_end_on_aws_turns_off_after_a_reboot_alone(api: Any, sky: Sky, tmp_path: Path) -> None:
+    api.launch(sample_task(wait_for="jobs"), NAME, "/")
+    assert first_boot(sky, tmp_path) == ["systemctl enable fogspec-rebooted.timer"]
+    assert not (tmp_path / "fogspec-end.timer").exists()
+    verified(tmp_path)
+
+
+@pytest.mark.parametrize("task", [sample_task(infra="gcp/r1"), {"run": "x"}, {"run": "x", "resources": {}}])
+def test_other_clouds_have_no_such_timer(api: Any, sky: Sky, task: dict[str, Any]) -> None:
     api.launch(task, NAME, "/")
     assert sky.configured is None
 
