@@ -48,7 +48,9 @@ def test_a_wrong_spec_is_an_error_at_its_place(scene, verb, old, new, place, wor
 
 def test_a_file_that_the_spec_names_is_missed_before_a_machine_is_paid_to_miss_it(scene):
     node = "cloud:\n    - {package: arm, executable: plan, parameter_files: [p.yaml]}"
-    scene.spec.write_text(SPEC.replace("infra:", "ros: {workspace: arm_ws}\n  infra:").replace("cloud:", node))
+    scene.spec.write_text(
+        SPEC.replace("infra:", "ros: {distro: humble, workspace: arm_ws}\n  infra:").replace("cloud:", node)
+    )
     (scene.folder / "specs" / "work.py").unlink()
     before = tree(scene.folder)
     for ended in (scene.run("validate"), scene.run("compile"), scene.bench()):

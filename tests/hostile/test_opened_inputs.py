@@ -67,7 +67,7 @@ class Role:
 
 # By the pattern of the path; the first that matches counts.
 ROLES = {
-    "specs/demo/demo.yaml": Role(value("apt: [curl]", "apt: [wget]"), measured=True),
+    "specs/demo/demo.yaml": Role(value(r"apt: \[curl\]", "apt: [wget]"), measured=True),
     "specs/demo/demo.lock": Role(value("sha256:.{4}", "sha256:0000"), measured=True),
     "specs/demo/*": Role(longer, measured=True),
     "environments/prod.yaml": Role(value("alpha: 1", "alpha: 0"), frozenset({"demo@prod"})),
