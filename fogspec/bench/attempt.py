@@ -13,7 +13,7 @@ from fogspec.results.schema import Reason
 STOP_BACKOFF_S = 30.0
 STOP_PATIENCE_S = 900.0
 NO_ACCESS_PATIENCE_S = 180.0
-NO_MACHINE: tuple[Reason, ...] = ("access", "quota", "capacity")  # what is said where a machine cannot be had
+NO_MACHINE: tuple[Reason, ...] = ("access", "quota", "capacity")  # reasons why a machine is unavailable
 
 
 @dataclass(slots=True, kw_only=True)

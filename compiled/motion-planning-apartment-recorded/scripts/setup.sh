@@ -37,7 +37,7 @@ ask_apt() { as_root apt-get -qq -o DPkg::Lock::Timeout=300 -o Acquire::Retries=5
 # has expired, what the others have may be enough.
 apt_is_fresh=
 update_apt() {
-  [ -n "$apt_is_fresh" ] || ask_apt update || printf 'apt-get update failed: it goes on with the lists that are here\n' >&2
+  [ -n "$apt_is_fresh" ] || ask_apt update || printf 'apt-get update failed: continuing with the package lists that are here\n' >&2
   apt_is_fresh=yes
 }
 # Nothing is asked of root where all of it is there: the users of a cluster are not root.

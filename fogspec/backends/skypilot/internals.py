@@ -30,7 +30,7 @@ from fogspec.plan.commitment import power_off_s
 TIMEOUT_S = 90.0
 POLL_S = 1.0
 KEYS = ("aws", "post_provision_runcmd")
-REBOOTED_S = 900.0  # for whoever rebooted it to look around
+REBOOTED_S = 900.0  # time to log in to a machine that one has rebooted
 # Of a machine's first boot. Its units stay on its disk: nothing starts job, skylet and autostop again after a reboot, so that a
 # machine which no one uses would be paid until somebody looks. The date holds after a reboot, and the time since the boot
 # where the clock was wrong.

@@ -509,8 +509,15 @@ def test_what_machines_and_servers_do_now_and_then_does_not_end_a_set_up(tmp_pat
     assert "apt-get noninteractive http://here:3128 -qq" in said
     assert "pip 1" in said
     log = (tmp_path / ".fogspec" / "setup.log").read_text()
-    assert "apt-get update failed: it goes on with the lists that are here" in log
+    assert "apt-get update failed: continuing with the package lists that are here" in log
     assert "in 20 s once more: rosdep update --rosdistro jazzy" in log
+    assert "once more: rosdep install" not in log
+    (tools / "rosdep").write_text('#!/bin/sh\ncase $* in install*) echo "rosdep $*" >> "$HOME/said"; exit 1; esac\n')
+    (tmp_path / "said").unlink()
+    subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, timeout=600,
+                   env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
+    assert (tmp_path / "said").read_text().count("rosdep install") == 1, "a key that no list has is asked for once"
+    (tools / "rosdep").write_text(f"#!/bin/sh\n{fakes['rosdep']}\n")
     (tmp_path / "limit").write_text(f"{4 * 2**30}\n")
     (tmp_path / "said").write_text("rosdep update\n" * 2)
     assert compilers().startswith("colcon -j2 "), "a pod has no more than its limit"
