@@ -79,6 +79,8 @@ def _machine(machine: Machine) -> dict[str, Any]:
         wanted["instance_type"] = machine.instance
     else:
         wanted |= {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
+    if cloud.disk_gib is not None:
+        wanted["disk_size"] = cloud.disk_gib
     if machine.gpu is not None:
         wanted["accelerators"] = machine.gpu.key
     if machine.spot and cloud.containers:

@@ -4,7 +4,14 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
+from fogspec.base.units import HOURS_PER_MONTH
+
 LOCAL = "local"
+DISK_GIB = 128  # for the machine's own image, at most 50, a container image with its archive, and what set-up installs
+ELSEWHERE = 2.0  # a disk in a cloud's dearest region costs as much more than in the regions whose price is known here
+UNKNOWN_USD_PER_HOUR = (
+    0.06  # of a disk of SkyPilot's 256 GiB and an address, where nothing is known: the dearest of those known
+)
 
 
 class OwnEnd(StrEnum):
@@ -36,6 +43,9 @@ class Cloud:
     `visible_s` seconds. A cloud that `lists_ended` machines does so long enough to tell whether there was one. A machine is
     billed for `least_s` seconds at least. Without an image, machines there have the `ubuntu` of this code name.
 
+    With a machine come a disk of `disk_gib`, of SkyPilot's own size if that is None, and a public address. Both are paid beside
+    its price: `beside_usd_per_hour` in the regions that match `beside_in`, in others `ELSEWHERE` times that; None is not known.
+
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
     whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
     price list does not name it, and of types whose CPU is guaranteed for part of the time only; `generation`: of a
@@ -58,6 +68,9 @@ class Cloud:
     lists_ended: bool = False
     least_s: float = 0.0
     ubuntu: str | None = None
+    disk_gib: int | None = None
+    beside_usd_per_hour: float | None = None
+    beside_in: str = ".*"
     open_udp: str | None = None
     quota: str | None = None
     region: str | None = None
@@ -68,6 +81,13 @@ class Cloud:
     generation: str | None = None
     previous: str | None = None
     platform: str | None = None
+
+    def beside(self, region: str) -> float:
+        """Return what a machine's disk and address cost beside the machine, in USD per hour, at most."""
+        if self.beside_usd_per_hour is None:
+            return UNKNOWN_USD_PER_HOUR
+        known = re.fullmatch(self.beside_in, region) is not None
+        return self.beside_usd_per_hour * (1.0 if known else ELSEWHERE)
 
     def names_region(self, text: str) -> bool:
         """Return whether the text is the name of a region of this cloud, as far as its pattern tells."""
@@ -83,6 +103,10 @@ class Cloud:
 # Lists: docs.aws.amazon.com/ec2/latest/devguide/eventual-consistency.html; a terminated instance stays in them for an hour.
 # Shortest bills: aws.amazon.com/ec2/pricing/on-demand, cloud.google.com/compute/vm-instance-pricing.
 # Ubuntu: `sky/clouds` of 0.14.1, its lists of images, and what its images for AWS, Azure and Kubernetes are built from.
+# Disks and addresses: AWS gp3 with the 3,500 IOPS and 218 MB/s that SkyPilot asks for, of which 500 and 93 are paid
+# (aws.amazon.com/ebs/pricing, aws.amazon.com/vpc/pricing); Google pd-balanced (cloud.google.com/compute/disks-image-pricing,
+# cloud.google.com/vpc/network-pricing); Azure P10 (azure.microsoft.com/pricing/details/managed-disks, .../ip-addresses).
+# Elsewhere: AWS's dearest, sa-east-1, has $0.152/GB. Lambda's prices include both (lambda.ai/pricing); clusters bill neither.
 # Each `open_udp` finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
 _ROWS = (
     Cloud(
@@ -92,6 +116,9 @@ _ROWS = (
         lists_ended=True,
         least_s=60.0,
         ubuntu="jammy",
+        disk_gib=DISK_GIB,
+        beside_usd_per_hour=(0.08 * DISK_GIB + 0.005 * 500 + 0.04 * 93) / HOURS_PER_MONTH + 0.005,
+        beside_in="us-east-1|us-east-2|us-west-2",
         region=r"[a-z]{2}-(?:gov-)?[a-z]+-\d",
         arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
         accelerated=r"(dl|f|g|gr|inf|p|trn|vt)\d",
@@ -111,6 +138,9 @@ _ROWS = (
         attaches_gpus=True,
         least_s=60.0,
         ubuntu="jammy",
+        disk_gib=DISK_GIB,
+        beside_usd_per_hour=0.10 * DISK_GIB / HOURS_PER_MONTH + 0.005,
+        beside_in="us-central1|us-east1|us-west1",
         region=r"[a-z]+-[a-z]+\d",
         arm=r"(t2a|c4a|n4a|a4x)-",
         accelerated=r"(a2|a3|a4|a4x|g2|g4)-|n1-.*-tpu$|ct\d",
@@ -128,6 +158,9 @@ _ROWS = (
     Cloud(
         name="azure",
         ubuntu="jammy",
+        disk_gib=DISK_GIB,
+        beside_usd_per_hour=19.71 / HOURS_PER_MONTH + 0.005,
+        beside_in="eastus|eastus2|westus2",
         arm=r"Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d",
         family=r"(?:Standard|Basic)_([A-Z]+)\d+(?:-\d+)?([a-z]*)(?:.*_(v\d+))?",
         accelerated=r"Standard_(N|PB)",
@@ -143,7 +176,7 @@ _ROWS = (
     ),
     Cloud(name="oci"),
     Cloud(name="ibm"),
-    Cloud(name="lambda", arm=r".*(gh200|gb\d00)"),
+    Cloud(name="lambda", beside_usd_per_hour=0.0, arm=r".*(gh200|gb\d00)"),
     Cloud(name="runpod", ubuntu="jammy"),
     Cloud(name="nebius", ubuntu="noble"),
     Cloud(name="cudo"),
@@ -151,7 +184,7 @@ _ROWS = (
     Cloud(name="do"),
     Cloud(name="fluidstack", ubuntu="jammy"),
     Cloud(name="vast"),
-    Cloud(name="vsphere"),
+    Cloud(name="vsphere", beside_usd_per_hour=0.0),
     Cloud(name="scp"),
     Cloud(
         name="kubernetes",
@@ -161,6 +194,7 @@ _ROWS = (
         own_end=OwnEnd.POD_DEADLINE,
         limits_pods=True,
         ubuntu="jammy",
+        beside_usd_per_hour=0.0,
     ),
     Cloud(name="hyperbolic"),
     Cloud(name="primeintellect"),
@@ -174,6 +208,7 @@ _ROWS = (
         opens_ports=False,
         places_in_zones=True,
         own_end=OwnEnd.JOB_TIME_LIMIT,
+        beside_usd_per_hour=0.0,
     ),
     Cloud(
         name="ssh",
@@ -182,11 +217,12 @@ _ROWS = (
         opens_ports=False,
         own_end=OwnEnd.POD_DEADLINE,
         ubuntu="jammy",
+        beside_usd_per_hour=0.0,
     ),
     Cloud(name="mithril"),
     Cloud(name="verda"),
     Cloud(name="yotta"),
-    Cloud(name=LOCAL, on_skypilot=False, priced=False, instance_types=False),
+    Cloud(name=LOCAL, on_skypilot=False, priced=False, instance_types=False, beside_usd_per_hour=0.0),
 )
 CLOUDS = {row.name: row for row in _ROWS}
 
@@ -197,9 +233,15 @@ def cloud_name(infra: str) -> str:
 
 
 def cloud_of(infra: str) -> Cloud:
-    """Return the row of the cloud that an infra names; one that a catalog made up has nothing special."""
+    """Return the row of the cloud that an infra names; one that a catalog made up has nothing special, and bills its price."""
     name = cloud_name(infra)
-    return CLOUDS.get(name) or Cloud(name=name)
+    return CLOUDS.get(name) or Cloud(name=name, beside_usd_per_hour=0.0)
+
+
+def beside_usd_per_hour(infra: str) -> float:
+    """Return what disk and address of a machine there cost beside its price, in USD per hour, at most."""
+    cloud, place = cloud_of(infra), split_infra(infra)
+    return cloud.beside(place[1] if len(place) > 1 else "")
 
 
 def split_infra(infra: str) -> list[str]:

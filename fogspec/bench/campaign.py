@@ -128,8 +128,8 @@ class Campaign:
         return max(self.backend.poll_s, min(wait_s, IDLE_S))
 
     def price(self, sample: Sample) -> float:
-        """Return the price of measuring it with this backend, in USD per hour."""
-        return 0.0 if self.backend.costs == Costs.NOTHING else sample.machine.price
+        """Return what its machine costs with this backend, disk and address included, in USD per hour."""
+        return 0.0 if self.backend.costs == Costs.NOTHING else sample.machine.paid_usd_per_hour
 
     def _continuing(self) -> list[Attempt]:
         return [attempt for attempt in self.running.values() if attempt.end is None]

@@ -71,7 +71,7 @@ class Quote:
 
     def usd(self, sample: Sample) -> float:
         """Return the most that one sample can cost."""
-        return self.commitment.usd(sample.machine.price)
+        return self.commitment.usd(sample.machine.paid_usd_per_hour)
 
     def spent_line(self, prepared: Prepared) -> str | None:
         """Return what is spent of the budget already; None if it is nothing, or no money."""
@@ -100,7 +100,7 @@ class Quote:
 
     def together(self, at_once: int) -> Iterator[str]:
         """Yield the highest price of the machines that run at the same time, if they cost money, and the longest time."""
-        prices = sorted((sample.machine.price for sample in self.todo), reverse=True)[:at_once]
+        prices = sorted((sample.machine.paid_usd_per_hour for sample in self.todo), reverse=True)[:at_once]
         if self.costs is Costs.REAL and prices:
             most_s = math.ceil(len(self.todo) / len(prices)) * self.commitment.paid_s
             price, time = units.shown_price(sum(prices)), units.shown_duration(most_s)
@@ -117,9 +117,7 @@ class Quote:
         """Yield a line per sample."""
         for sample in self.todo:
             machine = sample.machine
-            price = (
-                f"{units.shown_price(machine.price)}, at most {dollars(self.usd(sample))}" if machine.price else "free"
-            )
+            price = f"{machine.price_words}, at most {dollars(self.usd(sample))}" if machine.price else "free"
             yield f"  {sample.id}: {machine.infra} {machine.instance}, {price}"
 
 

@@ -4,8 +4,9 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from fogspec.base.clouds import LOCAL, cloud_name
+from fogspec.base.clouds import LOCAL, beside_usd_per_hour, cloud_name, cloud_of
 from fogspec.base.quantities import Bounds, Count, Memory, Price, Strict
+from fogspec.base.units import shown_price
 from fogspec.language.schema import local_shape
 
 TypeKey = tuple[str, str, str, float]  # cloud, instance type, name and count of accelerators
@@ -53,6 +54,20 @@ class Machine(Strict):
     def cloud_name(self) -> str:
         """Return the first part of its infra."""
         return cloud_name(self.infra)
+
+    @property
+    def paid_usd_per_hour(self) -> float:
+        """Return what it costs with the disk and the address that come with it; `price` is without them."""
+        return self.price + beside_usd_per_hour(self.infra) if self.price > 0 else self.price
+
+    @property
+    def price_words(self) -> str:
+        """Return `$0.085/h, and $0.028/h for disk and address`, for people."""
+        beside = self.paid_usd_per_hour - self.price
+        if not beside:
+            return shown_price(self.price)
+        assumed = ", which is assumed," if cloud_of(self.infra).beside_usd_per_hour is None else ""
+        return f"{shown_price(self.price)}, and {shown_price(beside, 2)}{assumed} for disk and address"
 
     @property
     def is_local(self) -> bool:

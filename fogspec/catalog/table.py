@@ -8,7 +8,7 @@ from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.clouds import split_infra
+from fogspec.base.clouds import cloud_of, split_infra
 from fogspec.base.units import core_hours
 from fogspec.catalog.machine import Gpu, Machine
 
@@ -65,6 +65,14 @@ class Catalog:
 
     def __len__(self) -> int:
         return len(self.instance)
+
+    @property
+    def paid_usd_per_hour(self) -> Floats:
+        """Return what each machine costs with its disk and address; see `Machine.paid_usd_per_hour`."""
+        places = list(zip(self.cloud.tolist(), self.region.tolist(), strict=True))
+        beside = {place: cloud_of(place[0]).beside(place[1]) for place in set(places)}
+        usd_per_hour = np.fromiter(map(beside.__getitem__, places), np.float64, len(places))
+        return self.price_usd_per_hour + np.where(self.price_usd_per_hour > 0, usd_per_hour, 0.0)
 
     def in_order(self) -> "Catalog":
         """Return the catalog sorted by spot, cloud, region, instance, accelerators, zone, and the rest of a row."""

@@ -113,16 +113,17 @@ def sample_task(application: Application, sample: Sample, commitment: Commitment
 
 def sample_comment(sample: Sample, commitment: Commitment) -> str:
     """Return which machine measures a sample and why, its price, its longest time and the most that it may cost."""
-    machine, price = sample.machine, sample.machine.price
+    machine = sample.machine
     most = units.shown_duration(commitment.paid_s)
-    cost = f"{units.shown_price(price)}, at most {most}, at most {units.dollars(commitment.usd(price))}"
-    return f"{machine.instance} on {machine.infra}: {sample.reason}. {cost if price else f'No price, at most {most}'}."
+    cost = f"{machine.price_words}, at most {most}, at most {units.dollars(commitment.usd(machine.paid_usd_per_hour))}"
+    free = f"No price, at most {most}"
+    return f"{machine.instance} on {machine.infra}: {sample.reason}. {cost if machine.price else free}."
 
 
 def deploy_comment(spec: Spec, machine: Machine, reason: str) -> str:
     """Return which machine is deployed and why, its price, its longest time and the most that it may cost."""
     until, most = spec.deployment.until, spec.deployment.budget
-    words = [units.shown_price(machine.price) if machine.price else "no price"]
+    words = [machine.price_words if machine.price else "no price"]
     words.append("until fogspec down" if until is None else f"until {until}")
     words += [] if most is None else [f"at most {units.dollars(most)}"]
     return f"{machine.instance} on {machine.infra}: {reason}. {', '.join(words)}."
@@ -175,6 +176,8 @@ def _resources(spec: Spec, machine: Machine, autostop: Mapping[str, Any], labels
         resources["instance_type"] = machine.instance
     else:
         resources |= {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
+    if cloud.disk_gib is not None:
+        resources["disk_size"] = cloud.disk_gib
     if machine.price > 0:
         # SkyPilot looks at it only when it chooses the machine itself: runners compare the price of a pinned one.
         resources["max_hourly_cost"] = math.ceil(round(machine.price * 1e4, 6)) / 1e4

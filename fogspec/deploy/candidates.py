@@ -92,9 +92,11 @@ def exact(
     return {**task, "resources": resources}, found
 
 
-def price_words(usd_per_hour: float) -> str:
-    """Return the price per hour and month."""
-    return f"{units.shown_price(usd_per_hour)}, {units.shown_month(usd_per_hour * units.HOURS_PER_MONTH)}"
+def price_words(one: Candidate) -> str:
+    """Return what its machine costs per hour, at its price now, and per month, with disk and address."""
+    machine = one.machine.model_copy(update={"price": one.price_usd_per_hour})
+    together = " together" if machine.paid_usd_per_hour > machine.price else ""
+    return f"{machine.price_words}, {units.shown_month(machine.paid_usd_per_hour * units.HOURS_PER_MONTH)}{together}"
 
 
 def _named(one: Candidate) -> str:

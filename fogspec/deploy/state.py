@@ -260,8 +260,8 @@ class DeploymentState:
         files.remove_folder(layout.deployed)
 
     def spent(self, machine: DeployedMachine) -> float:
-        """Return the cost of the machine so far, in USD, at the price it was started for."""
-        return machine.machine.price * self.up_s(machine) / 3600
+        """Return the cost of the machine so far, in USD, at the price it was started for, disk and address included."""
+        return machine.machine.paid_usd_per_hour * self.up_s(machine) / 3600
 
     def up_s(self, machine: DeployedMachine) -> float:
         """Return the seconds since its start."""

@@ -89,7 +89,7 @@ def ceil_cents(usd: float) -> float:
 
 def _less_time(spec: Spec, plan: Plan, due: CostEstimate, budget: float) -> Iterator[Change]:
     body, benchmark = plan.spec, spec.benchmark
-    usd_per_hour = math.fsum(sample.machine.price for sample in due.todo)
+    usd_per_hour = math.fsum(sample.machine.paid_usd_per_hour for sample in due.todo)
     left_s = room_s((budget - due.spent_usd) * 3600 / usd_per_hour)
     shorter = _round_down(left_s - body.ready_timeout)
     if MIN_MEASURING_S <= shorter < body.duration:

@@ -63,9 +63,9 @@ class Commitment:
         """The longest time that is paid: all of it."""
         return self.machine_s + TEARDOWN_S
 
-    def usd(self, price_usd_per_hour: float) -> float:
-        """Return the most that a sample on a machine of this price can cost."""
-        return price_usd_per_hour * self.paid_s / 3600
+    def usd(self, paid_usd_per_hour: float) -> float:
+        """Return the most that a sample on a machine can cost that is paid so much, disk and address included."""
+        return paid_usd_per_hour * self.paid_s / 3600
 
 
 def room_s(paid_s: float) -> float:
@@ -116,7 +116,7 @@ def unattended(machines: Iterable[Machine], each: Commitment, name: str) -> Iter
         if not found:
             continue
         clouds = ", ".join(sorted({cloud_of(one.infra).name for one in found}))
-        dearest = shown_price(max(one.price for one in found))
+        dearest = shown_price(max(one.paid_usd_per_hour for one in found))
         if end is OwnEnd.AUTOSTOP:
             yield (
                 f"if this computer goes off while a machine on {clouds} starts, it keeps running, at up to {dearest}, "

@@ -131,9 +131,9 @@ def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
     return np.lexsort((offers.spot, *(ranks(name) for name in names), offers.price_usd_per_hour))
 
 
-def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
+def max_cost_usd(spec: Spec, offers: Catalog) -> Floats:
     """Return the maximum cost in USD of one sample of each machine."""
-    return price_usd_per_hour * commitment(spec).paid_s / 3600
+    return offers.paid_usd_per_hour * commitment(spec).paid_s / 3600
 
 
 def commitment(spec: Spec) -> Commitment:
@@ -148,7 +148,7 @@ def _adaptive(spec: Spec, admissible: Filtered) -> Design:
     offers, budget = admissible.offers, spec.benchmark.budget
     if not len(offers):
         return Design((), ())
-    usd = max_cost_usd(spec, offers.price_usd_per_hour)
+    usd = max_cost_usd(spec, offers)
     left = math.inf if budget is None else max(budget, float(usd.min()))
     batch = initial_batch(offers, usd, left)
     samples = tuple(sample_on(offers.machine(row), why) for row, why in zip(batch.rows, batch.reasons, strict=True))

@@ -200,7 +200,7 @@ def next_on(machine: Machine, reason: str, taken: Collection[str]) -> Sample:
 
 def estimate(samples: Sequence[Sample], each: Commitment) -> Estimate:
     """Return the most that the samples can cost in USD, and the time in seconds that they measure and set up at most."""
-    usd_per_hour = math.fsum(sample.machine.price for sample in samples)
+    usd_per_hour = math.fsum(sample.machine.paid_usd_per_hour for sample in samples)
     measuring, setup = (round(usd_per_hour * seconds / 3600, 6) for seconds in (each.measuring_s, each.setup_s))
     total = round(each.usd(usd_per_hour), 6)
     overhead = max(round(total - measuring - setup, 6), 0.0)

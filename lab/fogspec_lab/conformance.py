@@ -33,7 +33,7 @@ from fogspec.base.credentials import FORMS
 from fogspec.base.errors import FogspecError, Refused, UsageError
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import line, markdown, visible
-from fogspec.base.units import dollars, format_money, shown_duration, shown_price
+from fogspec.base.units import dollars, format_money, shown_duration
 from fogspec.catalog.filters import filter_offers, unknown_places
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.sources import default_origin, load_catalog
@@ -118,12 +118,12 @@ class Offer:
         if self.is_local:
             return 0.0
         # Once more, for what the killed bench had started.
-        return 2 * sum(TIMES.usd(one.price) for one in self.machines)
+        return 2 * sum(TIMES.usd(one.paid_usd_per_hour) for one in self.machines)
 
     @property
     def deployed_usd(self) -> float:
         """The most that the deployment can cost: the machine, and the one that replaces it."""
-        return 0.0 if self.is_local else 2 * max(one.price for one in self.machines) * DEPLOYED_S / 3600
+        return 0.0 if self.is_local else 2 * max(one.paid_usd_per_hour for one in self.machines) * DEPLOYED_S / 3600
 
     @property
     def worst_usd(self) -> float:
@@ -132,11 +132,11 @@ class Offer:
 
     def price(self, machine: Machine) -> str:
         """Return the price of a machine, for people."""
-        return "free" if self.is_local else shown_price(machine.price)
+        return "free" if self.is_local else machine.price_words
 
     def lines(self) -> list[str]:
         """Return what will be started and what it costs, before anything is."""
-        shapes = [f"{one.instance} in {one.infra}, {shown_price(one.price)}" for one in self.machines]
+        shapes = [f"{one.instance} in {one.infra}, {self.price(one)}" for one in self.machines]
         if self.is_local:
             return [
                 f"conformance on {self.infra}: {' and '.join(one.instance for one in self.machines)}; costs nothing"

@@ -52,7 +52,7 @@ class ReplaySamples:
             return SampleStatus(running=False, lost=True, detail="the replay had not begun")
         record = recording.record
         if not recording.priced and job.machine is not None:
-            record = record.model_copy(update={"spent": job.machine.price * record.duration / 3600})
+            record = record.model_copy(update={"spent": job.machine.paid_usd_per_hour * record.duration / 3600})
         running = self._now_s() - state["at_s"] < record.duration * self._pace
         timings = None if running else _unpacked(recording, job)
         return SampleStatus(

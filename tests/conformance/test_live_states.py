@@ -77,7 +77,7 @@ class Project:
     def machine(self, token: str = "000001", **more: object) -> DeployedMachine:
         return DeployedMachine(
             name=owner_of(self.one).deployment_name(HEX, token), deployer="skypilot", state="starting", manifest=HEX,
-            machine=Machine(infra="aws/r1", instance="a", cpus=2, memory=4.0, price=3600.0), runs=HEX, files={}, at=0.0,
+            machine=Machine(infra="lambda/r1", instance="a", cpus=2, memory=4.0, price=3600.0), runs=HEX, files={}, at=0.0,
             boot="boot", since="2026-01-01T00:00:00+00:00",
         ).model_copy(update=more)  # fmt: skip
 

@@ -5,8 +5,9 @@ import json
 from pathlib import Path
 
 import sky
-from sky import exceptions, global_user_state, provision, skypilot_config
+from sky import exceptions, global_user_state, provision, resources, skypilot_config
 from sky.client import sdk
+from sky.clouds import aws, azure, gcp
 from sky.utils import registry
 
 CALLS = (
@@ -59,5 +60,11 @@ WORDS = {
 }  # fmt: skip
 package = Path(sky.__file__).parent
 names += tuple(f"{path}: {words}" for path, words in WORDS.items() if words not in (package / path).read_text())
+# The disk that comes with a machine, which fogspec/base/clouds.py prices, and the largest of the images that must fit on it.
+disks = [
+    *aws.AWS._get_disk_specs(None).values(), gcp.GCP._get_disk_type("n2-standard-4", None), azure.Azure._get_disk_type(None)
+]  # fmt: skip
+least_gib = max(aws.DEFAULT_AMI_GB, gcp.DEFAULT_GCP_IMAGE_GB, azure._DEFAULT_SKYPILOT_IMAGE_GB)
 missing = [name for name in names if not hasattr(exceptions, name)]
-print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY)}))
+print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY), "disks": disks,
+                  "least_gib": least_gib, "default_gib": resources.DEFAULT_DISK_SIZE_GB}))  # fmt: skip

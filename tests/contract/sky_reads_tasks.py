@@ -47,7 +47,7 @@ for path in sys.argv[1:]:
     print(json.dumps({
         "path": path, "wrong": wrong, "server_access": task.api_server_access,
         "name": task.name, "infra": one.infra.to_str(), "instance": one.instance_type,
-        "shape": [one.cpus, one.memory],
+        "shape": [one.cpus, one.memory], "disk": one.disk_size,
         "accelerators": one.accelerators, "spot": one.use_spot, "image": one.image_id, "labels": one.labels,
         "price": one.get_cost(3600) if one.instance_type else None, "same_run": task.run == data["run"],
         "limits": limits, "directives": directives, "pod_problem": pod_problem, "allowed": allowed,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.clouds import CLOUDS
+from fogspec.base.clouds import CLOUDS, DISK_GIB
 
 PYTHONS = [sys.executable, *filter(None, os.environ.get("FOGSPEC_SKYPILOT_PYTHONS", "").split(os.pathsep))]
 
@@ -84,6 +84,8 @@ def test_the_calls_and_exceptions_are_there(python: str, tmp_path: Path) -> None
     said = json.loads(ended.stdout.splitlines()[-1])
     assert said["missing"] == []
     assert set(said["clouds"]) <= {*CLOUDS}
+    assert said["disks"] == ["gp3", 3500, 218, "pd-balanced", "Premium_LRS"]
+    assert said["least_gib"] + 64 <= DISK_GIB < said["default_gib"] == 256
 
 
 SCRIPT = """

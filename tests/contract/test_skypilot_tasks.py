@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from fogspec.base.clouds import cloud_of
 from fogspec.catalog.sources import load_catalog
 from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
@@ -136,6 +137,7 @@ def test_skypilot_finds_the_machine_that_was_planned(project: Path, understood: 
             if shaped:
                 assert one["shape"] == [f"{machine.cpus:g}", f"{machine.memory:g}"]
             assert one["spot"] == machine.spot
+            assert one["disk"] == (cloud_of(machine.infra).disk_gib or 256)
             assert (one["accelerators"] or {}).keys() == ({machine.gpu.name} if machine.gpu else set())
             if not shaped:
                 assert one["price"] == pytest.approx(machine.price, abs=1e-4), sample.id

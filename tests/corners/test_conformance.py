@@ -182,9 +182,10 @@ def test_the_price_is_known_before_anything_starts() -> None:
     chosen = conformance.offer("aws/us-east-1", ["c6i.large", "c6i.xlarge"], "snapshot", 2.0)
     prices = [one.price for one in chosen.machines]
     assert prices == [0.085, 0.17]
-    assert chosen.deployed_usd == 2 * 0.17 * conformance.DEPLOYED_S / 3600
+    beside = 16.46 / 730 + 0.005  # disk and address
+    assert chosen.deployed_usd == pytest.approx(2 * (0.17 + beside) * conformance.DEPLOYED_S / 3600)
     assert chosen.worst_usd == chosen.bench_usd + chosen.deployed_usd
-    assert "$0.17/h" in " ".join(chosen.lines())
+    assert "$0.17/h, and $0.028/h for disk and address" in " ".join(chosen.lines())
     cheapest = conformance.offer("aws/us-east-1", [], "snapshot", 2.0).machines
     assert cheapest[0].price <= cheapest[1].price
     assert (cheapest[0].cpus, cheapest[0].memory) != (cheapest[1].cpus, cheapest[1].memory)

@@ -62,7 +62,7 @@ def nothing_happened(shell: Shell) -> bool:
 
 def test_without_a_yes_nothing_is_spent(paid):
     said = bench(paid, code=5)
-    assert "4 of 4 samples to measure: at most $0.2" in said.err
+    assert "4 of 4 samples to measure: at most $0.3" in said.err
     assert "--yes" in said.err
     assert nothing_happened(paid)
     bench(paid, "--yes")
@@ -106,14 +106,14 @@ def test_a_machine_that_is_no_longer_on_offer_is_refused(paid):
 
 def test_a_dry_run_says_each_sample_and_its_most(paid):
     said = bench(paid, "--dry-run")
-    assert said.out.count("/h, at most $") == 4
+    assert said.out.count("/h for disk and address, at most $") == 4
     assert nothing_happened(paid)
 
 
 def test_max_is_a_wall_below_the_budget(paid):
-    bench(paid, "--yes", "--max", "$0.03")
+    bench(paid, "--yes", "--max", "$0.06")
     found = results(paid)
-    assert float(found["spent"].removeprefix("$")) <= 0.03
+    assert float(found["spent"].removeprefix("$")) <= 0.06
     assert {one.get("reason") for one in found["samples"]} >= {"budget"}
     bench(paid, "--yes")
     assert {one["state"] for one in results(paid)["samples"]} == {"ok"}
@@ -123,9 +123,9 @@ def test_max_is_a_wall_below_the_budget(paid):
 def test_a_lower_budget_counts_without_a_new_plan(paid):
     """The budget is the spec's, not what it was when the plan was written."""
     text = paid.read("specs/demo.yaml")
-    paid.write("specs/demo.yaml", text.replace("budget: $5", "budget: $0.03"))
+    paid.write("specs/demo.yaml", text.replace("budget: $5", "budget: $0.06"))
     bench(paid, "--yes")
-    assert float(results(paid)["spent"].removeprefix("$")) <= 0.03
+    assert float(results(paid)["spent"].removeprefix("$")) <= 0.06
 
 
 def test_a_grid_with_an_unavailable_machine_ends_without_it_and_says_the_ways_on(paid):
@@ -201,7 +201,9 @@ def test_after_a_change_one_sample_is_offered_with_its_price(paid):
     paid.write("specs/work.py", "print('other')\n")
     paid("compile", "specs/demo.yaml", *AT)
     body = read_document(paid.folder / "compiled/demo/plan.yaml", Plan).spec
-    at_most = {one.machine.instance: dollars(body.commitment.usd(one.machine.price)) for one in body.samples}
+    at_most = {
+        one.machine.instance: dollars(body.commitment.usd(one.machine.paid_usd_per_hour)) for one in body.samples
+    }
     for words, code in (((), 5), (("--dry-run",), 0)):
         said = bench(paid, *words, code=code)
         ((name, usd),) = set(re.findall(r"demo: (\S+) to measure once more: at most (\$[0-9.]+),", said.err))
@@ -209,7 +211,7 @@ def test_after_a_change_one_sample_is_offered_with_its_price(paid):
         assert "a change by less than" in said.err
         assert results(paid) == before
     everything = bench(paid, "--dry-run", "--all")
-    assert "4 of 4 samples to measure: at most $0.2" in everything.err
+    assert "4 of 4 samples to measure: at most $0.3" in everything.err
     assert "next: fogspec-lab replay specs/demo.yaml --from sweep.csv --all" in everything.out
     bench(paid, "--yes")
     after = results(paid)

@@ -28,8 +28,10 @@ def offers(shell: Shell) -> Shell:
 
 def test_nothing_is_written_and_three_ways_are_named_besides_more_money(offers: Shell) -> None:
     said = refused(offers, "$1.20")
-    assert "the plan may cost $1.93, the budget is $1.20" in said, "$6.42 an hour for 18 minutes"
-    assert "measuring $0.535, set-up $0.107, start and end of the machines $1.28, each at most" in said
+    assert "the plan may cost $2.06, the budget is $1.20" in said, (
+        "$6.42 an hour for 18 minutes, and 8 disks and addresses"
+    )
+    assert "measuring $0.5717, set-up $0.1143, start and end of the machines $1.37, each at most" in said
     assert not (offers.folder / "compiled").exists()
     ways = [line for line in said.splitlines() if line.startswith("  - ")]
     assert len(ways) == 4
@@ -109,11 +111,11 @@ def test_ways_of_a_benchmark_that_has_begun_fit_when_they_are_taken(offers: Shel
 
 
 def test_what_was_measured_already_is_not_paid_twice(offers: Shell) -> None:
-    project(offers, benchmark="{budget: $0.30, stop: {duration: 1min}, ready_timeout: 1min}")
+    project(offers, benchmark="{budget: $0.40, stop: {duration: 1min}, ready_timeout: 1min}")
     measure(offers)
     offers("compile", "specs/demo.yaml", *AT)
     offers.write(
-        "specs/demo.yaml", spec(hardware=WIDE, benchmark="{budget: $0.30, stop: {duration: 1min}, ready_timeout: 1min}")
+        "specs/demo.yaml", spec(hardware=WIDE, benchmark="{budget: $0.40, stop: {duration: 1min}, ready_timeout: 1min}")
     )
     said = offers("compile", "specs/demo.yaml", *AT, code=5).err
     assert "of it spent already" in said

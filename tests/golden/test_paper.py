@@ -59,11 +59,15 @@ def with_machines(cwd: Path, spec: str, machines: list[str]) -> None:
     path.write_text(text)
 
 
+# Of disk and address in us-east-1, $16.46 per month and $0.005 per hour, for five minutes: the paper leaves them out.
+BESIDE_USD = (16.46 / 730 + 0.005) / 12
+
+
 def test_table_2_sampling_the_apartment_costs_104_892_cents(checkout):
     found = compiled(checkout, "motion-planning-recorded")["motion-planning-apartment-recorded"]
     assert found["samples"] == 9
-    assert found["estimate_usd"]["measuring"] == pytest.approx(1.04892, abs=5e-6)
-    assert "measuring costs $1.05" in fogspec(checkout, "compile", "specs/motion-planning-recorded.yaml", "-v")
+    assert found["estimate_usd"]["measuring"] - 9 * BESIDE_USD == pytest.approx(1.04892, abs=5e-6)
+    assert "measuring costs $1.07" in fogspec(checkout, "compile", "specs/motion-planning-recorded.yaml", "-v")
 
 
 @pytest.mark.parametrize(
@@ -81,7 +85,7 @@ def test_table_2_from_catalog_prices(checkout, machines, usd):
     with_machines(checkout, "motion-planning-recorded", machines)
     found = compiled(checkout, "motion-planning-recorded")["motion-planning-apartment-recorded"]
     assert found["samples"] == len(machines)
-    assert found["estimate_usd"]["measuring"] == pytest.approx(usd, abs=5e-6)
+    assert found["estimate_usd"]["measuring"] - len(machines) * BESIDE_USD == pytest.approx(usd, abs=5e-6)
 
 
 def test_rounding_to_a_neighbour_is_checked_again():

@@ -90,7 +90,7 @@ def test_the_estimate_is_the_sum_of_the_samples(application: Any, rows: list[str
     plan = planned(application, rows)
     if plan is None:
         return
-    estimate, price = plan.spec.estimate, sum(sample.machine.price for sample in plan.spec.samples)
+    estimate, price = plan.spec.estimate, sum(sample.machine.paid_usd_per_hour for sample in plan.spec.samples)
     assert math.isclose(estimate.measuring, price * plan.spec.duration / 3600, abs_tol=1e-6)
     parts = estimate.measuring + estimate.setup + estimate.overhead
     assert math.isclose(estimate.total, parts, abs_tol=2e-6)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.backends.protocol import Job, Work
+from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import engine_settings
 
@@ -19,9 +20,11 @@ WORK = Work(script="~/.fogspec/measure.sh", mounts={})
 
 def resources(machine: Machine, lifetime_s: float | None = None) -> dict[str, Any]:
     """The resources of a sample that lives so long, or of a deployment."""
-    shape = {"instance_type": machine.instance}
+    shape: dict[str, Any] = {"instance_type": machine.instance}
     if machine.infra.startswith("slurm/"):
         shape = {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
+    if (disk_gib := cloud_of(machine.infra).disk_gib) is not None:
+        shape["disk_size"] = disk_gib
     end = {"idle_minutes": 30, "down": True}
     if lifetime_s is not None:
         end = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}

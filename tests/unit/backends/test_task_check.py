@@ -53,6 +53,7 @@ OTHER: dict[str, Any] = {
     "resources.cpus": "96+",
     "resources.memory": "999",
     "resources.max_hourly_cost": 99.0,
+    "resources.disk_size": 256,
     "resources.use_spot": False,
     "resources.accelerators": "H100:8",
     "resources.autostop.idle_minutes": 60_000,

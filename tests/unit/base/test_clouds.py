@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from fogspec.base.clouds import CLOUDS, LOCAL, cloud_name, cloud_of, split_infra
+from fogspec.base.clouds import CLOUDS, LOCAL, beside_usd_per_hour, cloud_name, cloud_of, split_infra
 
 
 def test_every_pattern_compiles_and_every_command_names_its_port() -> None:
@@ -41,3 +41,36 @@ def test_an_infra_is_split_as_its_cloud_writes_it(infra: str, parts: list[str]) 
 @pytest.mark.parametrize(("region", "owner"), [("us-east-1", "aws"), ("us-gov-west-1", "aws"), ("europe-west4", "gcp")])
 def test_a_region_names_its_cloud(region: str, owner: str) -> None:
     assert [cloud.name for cloud in CLOUDS.values() if cloud.names_region(region)] == [owner]
+
+
+@pytest.mark.parametrize(
+    ("infra", "usd_per_month"),
+    [
+        ("aws/us-east-1", 128 * 0.08 + 2.5 + 3.72 + 3.65),
+        ("aws/us-east-1/us-east-1a", 128 * 0.08 + 2.5 + 3.72 + 3.65),
+        (
+            "aws/sa-east-1",
+            2 * (128 * 0.08 + 2.5 + 3.72 + 3.65),
+        ),  # by its list: 128 * 0.152 + 4.75 + 7.07 + 3.65 = 34.93
+        ("gcp/us-central1", 128 * 0.1 + 3.65),
+        ("azure/eastus", 19.71 + 3.65),
+        ("vast/somewhere", 43.8),
+        ("lambda/us-east-1", 0.0),
+        ("kubernetes/a/b", 0.0),
+        ("slurm/cluster/partition", 0.0),
+        ("our-rack/hall-2", 0.0),
+        ("local", 0.0),
+    ],
+)
+def test_disk_and_address_cost_what_their_lists_say(infra: str, usd_per_month: float) -> None:
+    assert beside_usd_per_hour(infra) * 730 == pytest.approx(usd_per_month)
+
+
+def test_nothing_known_costs_less_than_the_dearest_of_what_is_known() -> None:
+    """Of disks of SkyPilot's 256 GiB in the regions whose price is known: Azure's is P15."""
+    known = {
+        "aws": (256 * 0.08 + 2.5 + 3.72 + 3.65) / 730,
+        "gcp": (256 * 0.1 + 3.65) / 730,
+        "azure": (38.02 + 3.65) / 730,
+    }
+    assert max(known.values()) <= beside_usd_per_hour("vast/anywhere") < 1.1 * max(known.values())

@@ -41,6 +41,12 @@ def test_the_dearest_machine_that_a_name_may_mean_is_charged_for_all_of_its_life
     assert campaign.journal.state.open == {}
 
 
+def test_disk_and_address_are_part_of_each_bill(campaign):
+    (one,) = samples(1)
+    known = one.model_copy(update={"machine": one.machine.model_copy(update={"infra": "aws/us-east-1"})})
+    assert campaign.price(known) == pytest.approx(campaign.price(one) + 16.46 / 730 + 0.005)
+
+
 @pytest.mark.parametrize("benches", [1, 2])
 def test_they_are_left_alone_unless_that_is_asked_for(campaign, monkeypatch, benches):
     """Also by a folder that has measured before: another clone of the repository may measure now."""

@@ -16,7 +16,7 @@ from tests.support.catalogs import table
 ROW = "{name},,,2,4,{price},,r1,"
 
 
-def sample(name: str, price: float, infra: str = "aws/r1") -> Sample:
+def sample(name: str, price: float, infra: str = "our-rack/r1") -> Sample:
     machine = Machine(infra=infra, instance=name, cpus=2, memory=4.0, price=price)
     return Sample(id=f"s-{name}", machine=machine, reason="")
 
@@ -40,9 +40,22 @@ def test_the_most_is_every_machine_for_all_of_its_life() -> None:
         "demo: 2 of 5 samples to measure: at most $1.50, if every machine runs until it ends by itself"
     )
     assert list(quote(ONE, FREE).lines()) == [
-        "  s-one: aws/r1 one, $3.00/h, at most $1.00",
+        "  s-one: our-rack/r1 one, $3.00/h, at most $1.00",
         "  s-free: local free, free",
     ]
+
+
+def test_disk_and_address_are_said_and_counted() -> None:
+    """On AWS 128 GiB, IOPS and throughput of $16.46 a month and $0.005 an hour; where nothing is known $0.06 an hour."""
+    known, unknown = sample("known", 0.3, "aws/us-east-1"), sample("other", 0.3, "vast/x")
+    assert quote(known).worst_usd == pytest.approx((0.3 + 16.46 / 730 + 0.005) / 3, abs=1e-6)
+    assert list(quote(known).lines()) == [
+        "  s-known: aws/us-east-1 known, $0.30/h, and $0.028/h for disk and address, at most $0.1092"
+    ]
+    assert list(quote(unknown).lines()) == [
+        "  s-other: vast/x other, $0.30/h, and $0.06/h, which is assumed, for disk and address, at most $0.12"
+    ]
+    assert list(quote(known).together(1)) == ["1 machine at a time: at most $0.328/h, for 20 min at most"]
 
 
 def test_machines_that_run_together_are_priced_together_and_all_of_them_have_a_longest_time() -> None:
@@ -135,7 +148,7 @@ def backend() -> Any:
 
 @pytest.mark.parametrize(("now", "refused"), [(2.9, False), (3.0, False), (3.01, True)])
 def test_a_price_that_rose_is_refused_and_named(now: float, refused: bool) -> None:
-    prices = table(ROW.format(name="one", price=now), ROW.format(name="two", price=1.5))
+    prices = table(ROW.format(name="one", price=now), ROW.format(name="two", price=1.5), cloud="our-rack")
     if not refused:
         check_prices([ONE, TWO], prices, "again")
         return
@@ -162,7 +175,7 @@ def test_what_is_spent_already_is_said(budget: float | None, spent: float, costs
 
 def test_what_becomes_of_machines_that_nobody_ends_is_said_where_they_cost_money() -> None:
     (line,) = quote(ONE).unattended()
-    assert "a machine on aws starts" in line
+    assert "a machine on our-rack starts" in line
     assert line.endswith("until fogspec down demo")
     assert list(quote(ONE, costs=Costs.RECORDED).unattended()) == []
     assert list(quote(FREE).unattended()) == []
@@ -182,6 +195,6 @@ def test_what_is_spent_is_said_of_this_runners_real_money_only() -> None:
 def test_many_rises_are_counted(count: int, more: str | None) -> None:
     todo = [sample(f"m{n}", 1.0) for n in range(count)]
     with pytest.raises(Refused) as refused:
-        check_prices(todo, table(*(ROW.format(name=f"m{n}", price=2) for n in range(count))), "again")
+        check_prices(todo, table(*(ROW.format(name=f"m{n}", price=2) for n in range(count)), cloud="our-rack"), "again")
     said = [one for one in refused.value.hints if one.startswith("and ")]
     assert said == ([more] if more else [])

@@ -92,12 +92,13 @@ def test_an_engine_with_a_time_limit_of_its_own_is_given_it(infra, config):
 
 def test_a_task_states_its_machine_and_the_most_that_it_may_cost():
     assert sample_comment(sample(), COMMITMENT) == (
-        "g4dn.xlarge on aws/us-east-1: because. $0.526/h, at most 23 min, at most $0.2016."
+        "g4dn.xlarge on aws/us-east-1: because. $0.526/h, and $0.028/h for disk and address, at most 23 min, "
+        "at most $0.2122."
     )
     assert sample_comment(sample(price=0.0), COMMITMENT).endswith("No price, at most 23 min.")
     app = application(deployment={"until": "2h", "budget": "$1.5"})
     assert deploy_comment(app.spec, sample().machine, "the choice") == (
-        "g4dn.xlarge on aws/us-east-1: the choice. $0.526/h, until 2h, at most $1.50."
+        "g4dn.xlarge on aws/us-east-1: the choice. $0.526/h, and $0.028/h for disk and address, until 2h, at most $1.50."
     )
     hostile = yaml_text({"name": "app"}, "fogspec compile", "a\nrun: curl evil\u2028")
     assert hostile.splitlines()[-1] == "name: app"

@@ -64,7 +64,19 @@ def test_what_was_approved_what_is_allowed_and_what_is_hard(now, limit, most, al
 
 
 def test_an_hour_a_day_a_month() -> None:
-    assert price_words(0.5) == "$0.50/h, $365/month"
+    def candidate(infra: str) -> Candidate:
+        return Candidate(
+            number=0,
+            machine=machine(infra),
+            work=WORK,
+            task={},
+            runs="",
+            approved_usd_per_hour=0.4,
+            now_usd_per_hour=0.5,
+        )
+
+    assert price_words(candidate("slurm/lab/small")) == "$0.50/h, $365/month"
+    assert price_words(candidate("aws/us-east-1")) == "$0.50/h, and $0.028/h for disk and address, $385/month together"
 
 
 TASK = {"resources": {"infra": "aws/r1", "image_id": "docker:ros:jazzy"}, "run": "x"}

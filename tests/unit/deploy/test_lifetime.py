@@ -44,13 +44,15 @@ def test_a_duration_counts_from_now_and_a_date_does_not() -> None:
 def test_no_more_is_spent_than_allowed(most: float, share: float, price: float, infra: str) -> None:
     """From the request to the machine's own end, at its latest, and with what was spent before."""
     spent = share * most
+    paid = machine(infra, price).paid_usd_per_hour  # with disk and address
+    assert paid == pytest.approx(price + (20.11 / 730 if infra.startswith("aws") else 0.0))
     try:
         date = End(None, most).date(machine(infra, price), NOW, spent)
     except Refused:
-        assert (most - spent) / price * 3600 < PROVISIONING_S + TEARDOWN_S + 62
+        assert (most - spent) / paid * 3600 < PROVISIONING_S + TEARDOWN_S + 62
         return
     away_s = 0.0 if infra == "local" else PROVISIONING_S + TEARDOWN_S
-    assert spent + price * (left_s(date, NOW) + away_s) / 3600 <= most * (1 + 1e-9)
+    assert spent + paid * (left_s(date, NOW) + away_s) / 3600 <= most * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -56,10 +56,10 @@ def test_an_engine_that_can_ends_the_machine() -> None:
 
 def test_what_nobody_would_end_is_said_with_its_price() -> None:
     each = Commitment(measuring_s=300.0, setup_s=600.0)
-    some = [machine("aws/r1", 2.0), machine("gcp/r1", 1.0), machine("gcp/r2", 3.0), machine("local", 0.0)]
+    some = [machine("aws/r1", 2.0), machine("gcp/r1", 1.0), machine("gcp/us-east1", 3.0), machine("local", 0.0)]
     some += [machine("slurm/lab/small", 1.0), machine("azure/r1", 0.0)]
     first, second = unattended(some, each, "demo")
-    assert "on gcp starts, it keeps running, at up to $3.00/h, until fogspec down demo" in first
+    assert "on gcp starts, it keeps running, at up to $3.02/h, until fogspec down demo" in first
     assert "on aws starts, it turns itself off 25 min after its boot" in second
     (both,) = unattended([machine("gcp/r1", 1.0), machine("azure/r1", 1.0)], each, "demo")
     assert "on azure, gcp starts" in both
