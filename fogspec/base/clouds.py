@@ -50,7 +50,8 @@ class Cloud:
     whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
     price list does not name it, and of types whose CPU is guaranteed for part of the time only; `generation`: of a
     family, with the groups `series` and `number` (1 if it is empty); `previous`: of the families that the cloud itself
-    calls previous generations; `platform`: of a family, whose groups are the same for all families with the same CPU.
+    calls previous generations; `platform`: of a family, whose groups are the same for all families with the same CPU;
+    `unstartable`: of instance types that take none of the disks or images with which SkyPilot would start them.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Cloud:
     generation: str | None = None
     previous: str | None = None
     platform: str | None = None
+    unstartable: str | None = None
 
     def beside(self, region: str) -> float:
         """Return what a machine's disk and address cost beside the machine, in USD per hour, at most."""
@@ -107,6 +109,9 @@ class Cloud:
 # (aws.amazon.com/ebs/pricing, aws.amazon.com/vpc/pricing); Google pd-balanced (cloud.google.com/compute/disks-image-pricing,
 # cloud.google.com/vpc/network-pricing); Azure P10 (azure.microsoft.com/pricing/details/managed-disks, .../ip-addresses).
 # Elsewhere: AWS's dearest, sa-east-1, has $0.152/GB. Lambda's prices include both (lambda.ai/pricing); clusters bill neither.
+# Not to be started by SkyPilot 0.14.1: on Google Cloud it asks for a `pd-balanced` disk, which series with Hyperdisk alone do
+# not take (cloud.google.com/compute/docs/disks/hyperdisks), but for those of which it knows that; on Azure its images are not
+# marked for NVMe, which v6 and v7 need (learn.microsoft.com/azure/virtual-machines/nvme-overview); neither has one for Arm.
 # Each `open_udp` finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
 _ROWS = (
     Cloud(
@@ -148,6 +153,7 @@ _ROWS = (
         generation=r"(?P<series>[a-z])(?P<number>\d)",
         previous=r"m1|n1",
         platform=r"(.*)",
+        unstartable=r"(c4|c4d|c4a|n4d|n4a|h4d|m4|x4|t2a|a4x)-",
         quota="gcloud compute regions describe {region}",
         open_udp=(
             "gcloud compute firewall-rules create fogspec-udp-{port} --allow udp:{port}"
@@ -168,6 +174,7 @@ _ROWS = (
         generation=r"(?P<series>[A-Z]+)[a-z]*?(?:v(?P<number>\d+))?$",
         previous=r"Am?|Am?v2|Bl?s|Bms|DS?|DS?v2|Fs?|Fsv2|GS?|H|Ls|Lsv2",
         platform=r"[A-Z]+([a-z]*?)(v\d+)?$",
+        unstartable=r".*_v[67]$|Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d",
         quota="az vm list-usage --location {region} --output table",
         open_udp=(
             "az vm open-port --port {port} --priority 900"

@@ -29,6 +29,14 @@ def accelerated(offers: Catalog) -> Mask:
     return np.asarray(found, dtype=np.bool_)
 
 
+def startable(offers: Catalog) -> Mask:
+    """Return the mask of machines that SkyPilot can start, as far as their instance types tell."""
+    found = np.ones(len(offers), dtype=np.bool_)
+    for cloud, here in _clouds(offers):
+        found &= ~(here & _matching(offers.instance, cloud.unstartable))
+    return found
+
+
 def burstable(offers: Catalog) -> Mask:
     """Return the mask of machines whose CPU is guaranteed for part of the time only."""
     found = offers.burstable.copy()

@@ -149,6 +149,7 @@ def matches_names(catalog: Catalog, patterns: Sequence[str]) -> Mask:
 def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callable[[Catalog], Mask]]]:
     return [
         ("infra", lambda c: _any(c, [matches_infra(c, entry) for entry in infra])),
+        ("what SkyPilot can start", classes.startable),
         ("hardware.spot", lambda c: np.full(len(c), True) if hardware.spot else ~c.spot),
         ("hardware.arch", lambda c: _within(c.arch, set(hardware.arch))),
         (ALLOW, lambda c: _listed(c, hardware.allow)),

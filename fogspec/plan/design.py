@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.errors import Infeasible, InvalidInput
-from fogspec.catalog.classes import platforms
+from fogspec.catalog.classes import platforms, startable
 from fogspec.catalog.filters import (
     Filtered,
     before_empty,
@@ -261,6 +261,12 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
         where = f" in {', '.join(spec.infra)}" if len(rows) else ""
         hints = [f"did you mean {', '.join(close)}?"] if close and not len(rows) else []
         raise InvalidInput(f"spec.benchmark.machines: the catalog has no instance type {name!r}{where}", *hints)
+    places = [place.take(startable(place)) for place in places]
+    if not any(len(place) for place in places):
+        raise InvalidInput(
+            f"spec.benchmark.machines: SkyPilot cannot start {name!r} in {', '.join(spec.infra)}",
+            "it would ask for a disk or an image that this series does not take: name a machine of another one",
+        )
     for place in filter(len, places):
         named = (place.take(matches_gpu(place, gpu)) for gpu in spec.hardware.gpus)
         best = next(filter(len, named), place)

@@ -65,6 +65,9 @@ disks = [
     *aws.AWS._get_disk_specs(None).values(), gcp.GCP._get_disk_type("n2-standard-4", None), azure.Azure._get_disk_type(None)
 ]  # fmt: skip
 least_gib = max(aws.DEFAULT_AMI_GB, gcp.DEFAULT_GCP_IMAGE_GB, azure._DEFAULT_SKYPILOT_IMAGE_GB)
+# Whether it still asks for a disk that series with Hyperdisk alone do not take.
+series = ("c4", "c4d", "c4a", "n4d", "n4a", "h4d", "m4", "x4", "n4")
+plain = [one for one in series if gcp.GCP._get_disk_type(f"{one}-standard-8", None).startswith("pd-")]
 missing = [name for name in names if not hasattr(exceptions, name)]
-print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY), "disks": disks,
+print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY), "disks": disks, "plain": plain,
                   "least_gib": least_gib, "default_gib": resources.DEFAULT_DISK_SIZE_GB}))  # fmt: skip

@@ -4,6 +4,7 @@ import base64
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -85,6 +86,8 @@ def test_the_calls_and_exceptions_are_there(python: str, tmp_path: Path) -> None
     assert said["missing"] == []
     assert set(said["clouds"]) <= {*CLOUDS}
     assert said["disks"] == ["gp3", 3500, 218, "pd-balanced", "Premium_LRS"]
+    assert {*said["plain"]} == {"c4", "c4d", "c4a", "n4d", "n4a", "h4d", "m4", "x4"}, "it can start these now"
+    assert all(re.match(CLOUDS["gcp"].unstartable or "", f"{one}-") for one in said["plain"])
     assert said["least_gib"] + 64 <= DISK_GIB < said["default_gib"] == 256
 
 

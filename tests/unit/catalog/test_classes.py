@@ -2,6 +2,7 @@
 
 import pytest
 
+from fogspec.base.errors import InvalidInput
 from fogspec.catalog.classes import accelerated, burstable, cpu_kind, left_out, platforms
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.sources import load_catalog
@@ -122,3 +123,30 @@ def test_the_grid_on_skypilots_real_lists(infra: str, families: set[str]) -> Non
     found = design(spec, catalog, filter_offers(catalog, spec.hardware, spec.infra))
     family = dict(zip(catalog.instance.tolist(), catalog.family.tolist(), strict=True))
     assert {family[one.machine.instance] for one in found.samples} == families
+
+
+@pytest.mark.parametrize(
+    ("cloud", "starts", "not_one"),
+    [
+        ("gcp", ["n2-standard-4", "n4-standard-4", "c3-standard-4"],
+         ["c4-standard-4", "c4d-standard-8", "n4d-x-2", "c4a-highmem-1", "n4a-highmem-1", "t2a-standard-1"]),
+        ("azure", ["Standard_D4s_v5", "Standard_E4as_v5"], ["Standard_D2s_v6", "Standard_E4ds_v7", "Standard_D4ps_v5"]),
+        ("aws", ["c7i.large", "c6i.metal"], []),
+    ],
+)  # fmt: skip
+def test_what_skypilot_cannot_start_is_no_candidate_whatever_the_spec_names(
+    cloud: str, starts: list[str], not_one: list[str]
+) -> None:
+    offers = table(*(f"{name},,,2,8,0.1,,r1," for name in starts + not_one), cloud=cloud)
+    found = filter_offers(offers, Hardware(allow=["*"], arch=["x86_64", "arm64"]), [cloud])
+    assert set(found.offers.instance.tolist()) == set(starts)
+    left = next(one for one in found.funnel.filters if one.name == "what SkyPilot can start")
+    assert left.removed == len(not_one)
+    for name in not_one:
+        with pytest.raises(InvalidInput, match=f"SkyPilot cannot start '{name}' in {cloud}"):
+            design(application({}, [cloud], machines=[name]).spec, offers, found)
+
+
+def test_machines_that_skypilot_cannot_start_make_no_other_outdated() -> None:
+    rows = [f"{family}-standard-4,,,2,8,0.1,,r1," for family in ("c2", "c3", "c4", "c4d")]
+    assert names(*rows, infra="gcp", cloud="gcp") == ["c2-standard-4", "c3-standard-4"]
