@@ -8,10 +8,10 @@ from fogspec.base.units import HOURS_PER_MONTH
 
 LOCAL = "local"
 DISK_GIB = 128  # for the machine's own image, at most 50, a container image with its archive, and what set-up installs
-ELSEWHERE = 2.0  # a disk in a cloud's dearest region costs as much more than in the regions whose price is known here
-UNKNOWN_USD_PER_HOUR = (
-    0.06  # of a disk of SkyPilot's 256 GiB and an address, where nothing is known: the dearest of those known
-)
+# Assumed of disk and address: in a region whose price is not known here, as many times as much as in those of its cloud that
+# are; where no price of a cloud is known, as much as the dearest of the others, with SkyPilot's disk of 256 GiB.
+ELSEWHERE, UNKNOWN_USD_PER_HOUR = 2.0, 0.06
+AZURE_ARM = r"Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d"
 
 
 class OwnEnd(StrEnum):
@@ -44,14 +44,14 @@ class Cloud:
     billed for `least_s` seconds at least. Without an image, machines there have the `ubuntu` of this code name.
 
     With a machine come a disk of `disk_gib`, of SkyPilot's own size if that is None, and a public address. Both are paid beside
-    its price: `beside_usd_per_hour` in the regions that match `beside_in`, in others `ELSEWHERE` times that; None is not known.
+    its price: `beside_usd_per_hour` (None: not known) in the regions that match `beside_in`; what others cost is assumed.
 
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
     whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
     price list does not name it, and of types whose CPU is guaranteed for part of the time only; `generation`: of a
     family, with the groups `series` and `number` (1 if it is empty); `previous`: of the families that the cloud itself
     calls previous generations; `platform`: of a family, whose groups are the same for all families with the same CPU;
-    `unstartable`: of instance types that take none of the disks or images with which SkyPilot would start them.
+    `unstartable`: of instance types that support neither the disk type nor the image that SkyPilot requests for them.
     """
 
     name: str
@@ -84,12 +84,13 @@ class Cloud:
     platform: str | None = None
     unstartable: str | None = None
 
-    def beside(self, region: str) -> float:
-        """Return what a machine's disk and address cost beside the machine, in USD per hour, at most."""
+    def beside(self, region: str) -> tuple[float, bool]:
+        """Return what a machine's disk and address cost beside the machine, in USD per hour, and whether that is assumed."""
         if self.beside_usd_per_hour is None:
-            return UNKNOWN_USD_PER_HOUR
-        known = re.fullmatch(self.beside_in, region) is not None
-        return self.beside_usd_per_hour * (1.0 if known else ELSEWHERE)
+            return UNKNOWN_USD_PER_HOUR, True
+        if self.beside_usd_per_hour == 0 or re.fullmatch(self.beside_in, region):
+            return self.beside_usd_per_hour, False
+        return self.beside_usd_per_hour * ELSEWHERE, True
 
     def names_region(self, text: str) -> bool:
         """Return whether the text is the name of a region of this cloud, as far as its pattern tells."""
@@ -108,9 +109,9 @@ class Cloud:
 # Disks and addresses: AWS gp3 with the 3,500 IOPS and 218 MB/s that SkyPilot asks for, of which 500 and 93 are paid
 # (aws.amazon.com/ebs/pricing, aws.amazon.com/vpc/pricing); Google pd-balanced (cloud.google.com/compute/disks-image-pricing,
 # cloud.google.com/vpc/network-pricing); Azure P10 (azure.microsoft.com/pricing/details/managed-disks, .../ip-addresses).
-# Elsewhere: AWS's dearest, sa-east-1, has $0.152/GB. Lambda's prices include both (lambda.ai/pricing); clusters bill neither.
-# Not to be started by SkyPilot 0.14.1: on Google Cloud it asks for a `pd-balanced` disk, which series with Hyperdisk alone do
-# not take (cloud.google.com/compute/docs/disks/hyperdisks), but for those of which it knows that; on Azure its images are not
+# Lambda's prices include both (lambda.ai/pricing); clusters bill neither.
+# Not started by SkyPilot 0.14.1: on Google Cloud it requests a `pd-balanced` disk, which series with Hyperdisk alone do not
+# support (cloud.google.com/compute/docs/disks/hyperdisks), but for those of which it knows that; on Azure its images are not
 # marked for NVMe, which v6 and v7 need (learn.microsoft.com/azure/virtual-machines/nvme-overview); neither has one for Arm.
 # Each `open_udp` finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
 _ROWS = (
@@ -167,14 +168,14 @@ _ROWS = (
         disk_gib=DISK_GIB,
         beside_usd_per_hour=19.71 / HOURS_PER_MONTH + 0.005,
         beside_in="eastus|eastus2|westus2",
-        arm=r"Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d",
+        arm=AZURE_ARM,
         family=r"(?:Standard|Basic)_([A-Z]+)\d+(?:-\d+)?([a-z]*)(?:.*_(v\d+))?",
         accelerated=r"Standard_(N|PB)",
         burstable=r"Standard_B",
         generation=r"(?P<series>[A-Z]+)[a-z]*?(?:v(?P<number>\d+))?$",
         previous=r"Am?|Am?v2|Bl?s|Bms|DS?|DS?v2|Fs?|Fsv2|GS?|H|Ls|Lsv2",
         platform=r"[A-Z]+([a-z]*?)(v\d+)?$",
-        unstartable=r".*_v[67]$|Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d",
+        unstartable=rf".*_v[67]$|{AZURE_ARM}",
         quota="az vm list-usage --location {region} --output table",
         open_udp=(
             "az vm open-port --port {port} --priority 900"
@@ -245,8 +246,8 @@ def cloud_of(infra: str) -> Cloud:
     return CLOUDS.get(name) or Cloud(name=name, beside_usd_per_hour=0.0)
 
 
-def beside_usd_per_hour(infra: str) -> float:
-    """Return what disk and address of a machine there cost beside its price, in USD per hour, at most."""
+def beside(infra: str) -> tuple[float, bool]:
+    """Return what disk and address of a machine there cost beside its price, in USD per hour, and whether that is assumed."""
     cloud, place = cloud_of(infra), split_infra(infra)
     return cloud.beside(place[1] if len(place) > 1 else "")
 

@@ -109,7 +109,7 @@ class AdaptiveSampling:
             offers,
             records,
             arrivals={} if load is None else arrivals_in(records, self.layout.results, rules, load.rate),
-            usd_per_sample=offers.paid_usd_per_hour * self.tasks.plan.spec.commitment.paid_s / 3600,
+            usd_per_sample=self.tasks.plan.spec.commitment.usd(offers.paid_usd_per_hour),
             left_usd=left_usd,
             library=self.library,
             batch=benchmark.batch_size,

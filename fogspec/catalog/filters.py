@@ -17,6 +17,7 @@ from fogspec.language.schema import CLASSES, STANDARD, Hardware, MachineClass
 
 Mask = NDArray[np.bool_]
 ALLOW, DENY = "hardware.allow", "hardware.deny"
+STARTED = "what SkyPilot can start"
 PLACES_IN_ZONES = {cloud.name for cloud in CLOUDS.values() if cloud.places_in_zones}
 
 
@@ -56,11 +57,16 @@ class Filtered:
     left_out: Mapping[MachineClass, int]  # instance types that only their class keeps out
 
     def left_out_line(self) -> str | None:
-        """Return `left out: 214 previous-generation, 38 burstable`, and the field that admits them; None without any."""
-        if not self.left_out:
-            return None
-        counts = ", ".join(f"{count:,} {name}" for name, count in self.left_out.items())
-        return f"left out: {counts}; to admit them: spec.hardware.allow: [{', '.join((STANDARD, *self.left_out))}]"
+        """Return `left out: 38 burstable`, the field that admits them, and what SkyPilot cannot start; None without any."""
+        found = []
+        if self.left_out:
+            counts = ", ".join(f"{count:,} {name}" for name, count in self.left_out.items())
+            found.append(
+                f"left out: {counts}; to admit them: spec.hardware.allow: [{', '.join((STANDARD, *self.left_out))}]"
+            )
+        if removed := next((one.removed for one in self.funnel.filters if one.name == STARTED), 0):
+            found.append(f"left out: {removed:,} offer{'' if removed == 1 else 's'} that SkyPilot cannot start")
+        return "; ".join(found) or None
 
 
 def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Filtered:
@@ -149,7 +155,7 @@ def matches_names(catalog: Catalog, patterns: Sequence[str]) -> Mask:
 def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callable[[Catalog], Mask]]]:
     return [
         ("infra", lambda c: _any(c, [matches_infra(c, entry) for entry in infra])),
-        ("what SkyPilot can start", classes.startable),
+        (STARTED, classes.startable),
         ("hardware.spot", lambda c: np.full(len(c), True) if hardware.spot else ~c.spot),
         ("hardware.arch", lambda c: _within(c.arch, set(hardware.arch))),
         (ALLOW, lambda c: _listed(c, hardware.allow)),

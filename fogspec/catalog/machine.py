@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from fogspec.base.clouds import LOCAL, beside_usd_per_hour, cloud_name, cloud_of
+from fogspec.base.clouds import LOCAL, beside, cloud_name
 from fogspec.base.quantities import Bounds, Count, Memory, Price, Strict
 from fogspec.base.units import shown_price
 from fogspec.language.schema import local_shape
@@ -58,16 +58,16 @@ class Machine(Strict):
     @property
     def paid_usd_per_hour(self) -> float:
         """Return what it costs with the disk and the address that come with it; `price` is without them."""
-        return self.price + beside_usd_per_hour(self.infra) if self.price > 0 else self.price
+        return self.price + beside(self.infra)[0] if self.price > 0 else self.price
 
     @property
     def price_words(self) -> str:
         """Return `$0.085/h, and $0.028/h for disk and address`, for people."""
-        beside = self.paid_usd_per_hour - self.price
-        if not beside:
+        usd_per_hour, is_assumed = beside(self.infra)
+        if not usd_per_hour or not self.price:
             return shown_price(self.price)
-        assumed = ", which is assumed," if cloud_of(self.infra).beside_usd_per_hour is None else ""
-        return f"{shown_price(self.price)}, and {shown_price(beside, 2)}{assumed} for disk and address"
+        assumed = ", which is assumed," if is_assumed else ""
+        return f"{shown_price(self.price)}, and {shown_price(usd_per_hour, 2)}{assumed} for disk and address"
 
     @property
     def is_local(self) -> bool:

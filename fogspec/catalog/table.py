@@ -70,7 +70,7 @@ class Catalog:
     def paid_usd_per_hour(self) -> Floats:
         """Return what each machine costs with its disk and address; see `Machine.paid_usd_per_hour`."""
         places = list(zip(self.cloud.tolist(), self.region.tolist(), strict=True))
-        beside = {place: cloud_of(place[0]).beside(place[1]) for place in set(places)}
+        beside = {place: cloud_of(place[0]).beside(place[1])[0] for place in set(places)}
         usd_per_hour = np.fromiter(map(beside.__getitem__, places), np.float64, len(places))
         return self.price_usd_per_hour + np.where(self.price_usd_per_hour > 0, usd_per_hour, 0.0)
 

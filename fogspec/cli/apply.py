@@ -10,7 +10,7 @@ import click
 from fogspec.base.console import ask, say, say_json, say_on
 from fogspec.base.errors import Refused
 from fogspec.base.text import shell_command
-from fogspec.base.units import parse_price_usd_per_hour, shown_price
+from fogspec.base.units import parse_price_usd_per_hour
 from fogspec.cli.next_steps import next_command, same_command, say_next
 from fogspec.cli.options import (
     MANIFEST,
@@ -113,7 +113,7 @@ def command(
         found = {"changed": done.changed, "waited_s": done.waited_s, **as_numbers(machine)}
         say_json(found, indent=None)
         return
-    what = f"{machine.machine.instance} in {machine.machine.infra}, {shown_price(machine.machine.price)}"
+    what = f"{machine.machine.instance} in {machine.machine.infra}, {machine.machine.price_words}"
     if done.kept:
         say(f"{opened.layout.name}: the machine stays, under the new manifest: {what}, at {machine.address}")
     elif done.changed:

@@ -8,7 +8,7 @@ import click
 
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, Interrupted, InvalidInput, Refused, UsageError
-from fogspec.base.units import parse_duration_s, shown_price
+from fogspec.base.units import parse_duration_s
 from fogspec.cli.options import OUTPUT, complete_application, quantity
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def _confirm(watcher: "Watcher", sure: bool) -> None:
             unknown = "nothing runs"
         except (DiagnosticError, FogspecError):
             machines, unknown = [], "what runs is not known"
-        what = [f"{m.machine.instance} in {m.machine.infra}, {shown_price(m.machine.price)}" for m in machines[-1:]]
+        what = [f"{m.machine.instance} in {m.machine.infra}, {m.machine.price_words}" for m in machines[-1:]]
         said = f"; restarted at most {times} times per hour, at the approved price" if times else "; reported only"
         say(f"{name}: {what[0] if what else unknown}{said}", err=True)
     if not watcher.watched:

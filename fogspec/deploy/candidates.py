@@ -92,7 +92,7 @@ def exact(
     return {**task, "resources": resources}, found
 
 
-def price_words(one: Candidate) -> str:
+def cost_words(one: Candidate) -> str:
     """Return what its machine costs per hour, at its price now, and per month, with disk and address."""
     machine = one.machine.model_copy(update={"price": one.price_usd_per_hour})
     together = " together" if machine.paid_usd_per_hour > machine.price else ""

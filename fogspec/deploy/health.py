@@ -268,7 +268,7 @@ def as_text(one: HealthReport) -> list[str]:
     up = "" if one.up_s is None else f", up {units.shown_duration(round(one.up_s))}"
     lines.append(
         f"  {'':<9} {machine.instance} in {machine.infra} at {subject.address or 'no address yet'}{up}, "
-        f"{units.shown_price(machine.price)}, {dollars(one.spent_usd)} so far"
+        f"{machine.price_words}, {dollars(one.spent_usd)} so far"
     )
     if subject.applied is not None:
         lines.append(f"  {'':<9} {subject.applied.text}")

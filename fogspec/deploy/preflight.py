@@ -21,7 +21,7 @@ from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.manifest import Fallback, Pinned, given
 from fogspec.compile.tasks import deploy_work
 from fogspec.deploy import link
-from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
+from fogspec.deploy.candidates import Candidate, affordable, check_price, cost_words, exact
 from fogspec.deploy.lifetime import End
 from fogspec.deploy.schema import Applied
 from fogspec.deploy.shared_state import store_of
@@ -180,7 +180,7 @@ def as_text(plan: LaunchPlan) -> list[str]:
         f"({spec.cpus:g} vCPU{'' if spec.cpus == 1 else 's'}, {units.shown(spec.memory)} GiB{gpu})",
         f"  nodes     {len(spec.cloud)} in the cloud, {len(spec.robot)} on the robot; link {spec.connectivity.link}",
         f"  task      {plan.opened.layout.compiled / task.path}  {task.digest}",
-        f"  costs     {price_words(first)}",
+        f"  costs     {cost_words(first)}",
         f"  expected  {latency.statistic} latency {units.shown_duration(latency.predicted)}"
         f"{units.shown_interval(latency.interval)}{limit}; {units.shown_cost(manifest.expected.cost.predicted)}",
     ]
@@ -191,6 +191,6 @@ def as_text(plan: LaunchPlan) -> list[str]:
     if plan.image is not None:
         lines.append(f"  image     {plan.image}")
     lines += [
-        f"  or else   {one.machine.instance} in {one.machine.infra}: {price_words(one)}" for one in plan.candidates[1:]
+        f"  or else   {one.machine.instance} in {one.machine.infra}: {cost_words(one)}" for one in plan.candidates[1:]
     ]
     return lines

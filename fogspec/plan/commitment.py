@@ -13,12 +13,18 @@ stops the machine before; the sum holds for one that cannot, from the moment at 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from fogspec.base.clouds import OwnEnd, cloud_of
 from fogspec.base.units import shown_duration, shown_price
 from fogspec.catalog.machine import Machine
 from fogspec.language.schema import Benchmark
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Usd = TypeVar("Usd", float, "NDArray[np.float64]")
 
 PROVISIONING_S = 300.0
 COLLECTING_S = 300.0
@@ -63,8 +69,8 @@ class Commitment:
         """The longest time that is paid: all of it."""
         return self.machine_s + TEARDOWN_S
 
-    def usd(self, paid_usd_per_hour: float) -> float:
-        """Return the most that a sample on a machine can cost that is paid so much, disk and address included."""
+    def usd(self, paid_usd_per_hour: Usd) -> Usd:
+        """Return the most that a sample can cost on a machine, or on each, that is paid so much with disk and address."""
         return paid_usd_per_hour * self.paid_s / 3600
 
 

@@ -133,7 +133,7 @@ def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
 
 def max_cost_usd(spec: Spec, offers: Catalog) -> Floats:
     """Return the maximum cost in USD of one sample of each machine."""
-    return offers.paid_usd_per_hour * commitment(spec).paid_s / 3600
+    return commitment(spec).usd(offers.paid_usd_per_hour)
 
 
 def commitment(spec: Spec) -> Commitment:
@@ -265,7 +265,7 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
     if not any(len(place) for place in places):
         raise InvalidInput(
             f"spec.benchmark.machines: SkyPilot cannot start {name!r} in {', '.join(spec.infra)}",
-            "it would ask for a disk or an image that this series does not take: name a machine of another one",
+            "it requests a disk type or an image that this series does not support: name a machine of another series",
         )
     for place in filter(len, places):
         named = (place.take(matches_gpu(place, gpu)) for gpu in spec.hardware.gpus)

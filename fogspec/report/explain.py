@@ -57,7 +57,7 @@ class Analysis:
         """Analyze a decision; refit the model without each sample in turn."""
         offers = compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
-        usd = offers.paid_usd_per_hour * body.commitment.paid_s / 3600
+        usd = body.commitment.usd(offers.paid_usd_per_hour)
         failed = [one.machine for one in decision.models.rejected]
         return cls(
             slacks(decision.choice),

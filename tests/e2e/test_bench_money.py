@@ -106,7 +106,7 @@ def test_a_machine_that_is_no_longer_on_offer_is_refused(paid):
 
 def test_a_dry_run_says_each_sample_and_its_most(paid):
     said = bench(paid, "--dry-run")
-    assert said.out.count("/h for disk and address, at most $") == 4
+    assert said.out.count("for disk and address, at most $") == 4
     assert nothing_happened(paid)
 
 

@@ -142,6 +142,8 @@ def test_what_skypilot_cannot_start_is_no_candidate_whatever_the_spec_names(
     assert set(found.offers.instance.tolist()) == set(starts)
     left = next(one for one in found.funnel.filters if one.name == "what SkyPilot can start")
     assert left.removed == len(not_one)
+    said = f"left out: {len(not_one)} offers that SkyPilot cannot start"
+    assert found.left_out_line() == (said if not_one else None)
     for name in not_one:
         with pytest.raises(InvalidInput, match=f"SkyPilot cannot start '{name}' in {cloud}"):
             design(application({}, [cloud], machines=[name]).spec, offers, found)

@@ -8,7 +8,7 @@ from fogspec.base.errors import Refused
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.catalog.sources import load_catalog
-from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
+from fogspec.deploy.candidates import Candidate, affordable, check_price, cost_words, exact
 from tests.support.jobs import WORK
 
 DIGEST = "sha256:" + "ab" * 32
@@ -75,8 +75,8 @@ def test_an_hour_a_day_a_month() -> None:
             now_usd_per_hour=0.5,
         )
 
-    assert price_words(candidate("slurm/lab/small")) == "$0.50/h, $365/month"
-    assert price_words(candidate("aws/us-east-1")) == "$0.50/h, and $0.028/h for disk and address, $385/month together"
+    assert cost_words(candidate("slurm/lab/small")) == "$0.50/h, $365/month"
+    assert cost_words(candidate("aws/us-east-1")) == "$0.50/h, and $0.028/h for disk and address, $385/month together"
 
 
 TASK = {"resources": {"infra": "aws/r1", "image_id": "docker:ros:jazzy"}, "run": "x"}
