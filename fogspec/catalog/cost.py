@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.units import HOURS_PER_MONTH
 from fogspec.language.schema import Spec
 
 Floats = NDArray[np.float64]
@@ -26,6 +25,7 @@ Rows = NDArray[np.intp]
 class Costs:
     """The cost model of n machines: price in USD per hour (n,), and the mask of spot machines (n,).
 
+    `beside_usd_per_hour`, (n,) or (1,) for all, is what is paid beside that price, for disk and address.
     `requests_per_s` is None for busy billing. A provisioned machine is paid for `up` of all time, and serves requests for
     `used` of it.
 
@@ -42,10 +42,16 @@ class Costs:
     up: float = 1.0
     used: float = 1.0
     busy_ratio: Floats = field(default_factory=lambda: np.ones(1))
+    beside_usd_per_hour: Floats = field(default_factory=lambda: np.zeros(1))
 
     @classmethod
     def of(
-        cls, spec: Spec, price_usd_per_hour: Floats, spot: NDArray[np.bool_], busy_ratio: Floats | None = None
+        cls,
+        spec: Spec,
+        price_usd_per_hour: Floats,
+        spot: NDArray[np.bool_],
+        busy_ratio: Floats | None = None,
+        beside_usd_per_hour: Floats | None = None,
     ) -> "Costs":
         """Return the cost model of a spec for machines with these prices."""
         load = spec.objective.load
@@ -59,6 +65,7 @@ class Costs:
             up=spec.up,
             used=load.used if load else 1.0,
             busy_ratio=np.ones(1) if busy_ratio is None else busy_ratio,
+            beside_usd_per_hour=np.zeros(1) if beside_usd_per_hour is None else beside_usd_per_hour,
         )
 
     @classmethod
@@ -77,23 +84,28 @@ class Costs:
     def take(self, rows: Rows) -> "Costs":
         """Return the cost model of some of the machines."""
         ratio = self.busy_ratio if len(self.busy_ratio) == 1 else self.busy_ratio[rows]
-        return replace(self, price_usd_per_hour=self.price_usd_per_hour[rows], spot=self.spot[rows], busy_ratio=ratio)
+        beside = self.beside_usd_per_hour if len(self.beside_usd_per_hour) == 1 else self.beside_usd_per_hour[rows]
+        price = self.price_usd_per_hour[rows]
+        return replace(
+            self, price_usd_per_hour=price, spot=self.spot[rows], busy_ratio=ratio, beside_usd_per_hour=beside
+        )
 
     @property
     def typical_busy_ratio(self) -> float:
         """The middle one of the busy ratios, for machines between those on offer."""
         return float(np.sort(self.busy_ratio)[len(self.busy_ratio) // 2])
 
+    @property
+    def typical_beside_usd_per_hour(self) -> float:
+        """The middle one of what is paid beside the prices, for machines between those on offer."""
+        return float(np.sort(self.beside_usd_per_hour)[len(self.beside_usd_per_hour) // 2])
+
     @cached_property
     def usd_per_s(self) -> Floats:
         """Return the cost of a second of use (n,), restarts and start-ups included: exact but for long requests on spot."""
         extra = np.where(self.spot, self.interruptions_per_s * self.restart_s, 0.0)
-        return np.asarray(self.price_usd_per_hour / 3600 * (1 + extra) * (self.up / self.used))
-
-    @property
-    def usd_per_month(self) -> Floats:
-        """Return the cost of a month of 730 hours (n,), in which the machine is up as the load says, else always."""
-        return np.asarray(self.price_usd_per_hour * HOURS_PER_MONTH * self.up)
+        usd_per_hour = self.price_usd_per_hour + self.beside_usd_per_hour
+        return np.asarray(usd_per_hour / 3600 * (1 + extra) * (self.up / self.used))
 
     def per_request(self, latency_s: Floats) -> Floats:
         """Return USD per successful request (n,) at this bounded latency; NaN where the latency is NaN."""

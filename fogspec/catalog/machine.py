@@ -63,11 +63,17 @@ class Machine(Strict):
     @property
     def price_words(self) -> str:
         """Return `$0.085/h, and $0.028/h for disk and address`, for people."""
+        words = self.beside_words
+        return f"{shown_price(self.price)}, and {words}" if words else shown_price(self.price)
+
+    @property
+    def beside_words(self) -> str:
+        """Return `$0.028/h for disk and address`, for people; empty where its price includes them."""
         usd_per_hour, is_assumed = beside(self.infra)
         if not usd_per_hour or not self.price:
-            return shown_price(self.price)
+            return ""
         assumed = ", which is assumed," if is_assumed else ""
-        return f"{shown_price(self.price)}, and {shown_price(usd_per_hour, 2)}{assumed} for disk and address"
+        return f"{shown_price(usd_per_hour, 2)}{assumed} for disk and address"
 
     @property
     def is_local(self) -> bool:

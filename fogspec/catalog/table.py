@@ -69,10 +69,15 @@ class Catalog:
     @property
     def paid_usd_per_hour(self) -> Floats:
         """Return what each machine costs with its disk and address; see `Machine.paid_usd_per_hour`."""
+        return self.price_usd_per_hour + self.beside_usd_per_hour
+
+    @property
+    def beside_usd_per_hour(self) -> Floats:
+        """Return what disk and address of each machine cost beside its price; nothing where it has none."""
         places = list(zip(self.cloud.tolist(), self.region.tolist(), strict=True))
         beside = {place: cloud_of(place[0]).beside(place[1])[0] for place in set(places)}
         usd_per_hour = np.fromiter(map(beside.__getitem__, places), np.float64, len(places))
-        return self.price_usd_per_hour + np.where(self.price_usd_per_hour > 0, usd_per_hour, 0.0)
+        return np.where(self.price_usd_per_hour > 0, usd_per_hour, 0.0)
 
     def in_order(self) -> "Catalog":
         """Return the catalog sorted by spot, cloud, region, instance, accelerators, zone, and the rest of a row."""

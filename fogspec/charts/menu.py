@@ -116,9 +116,9 @@ def _limits(choice: Choice) -> list[Limit]:
             found.append(Limit(f"cost limit {_of_requests(most)}", 1, 0, math.log10(most)))
         elif most > 0 and name == "price":
             per_hour = costs.requests_per_s and costs.requests_per_s * 3600 * costs.used / costs.up
-            # On a busy machine, the cost of a request is the price times the paid seconds, which are in a ratio to its latency.
+            # On a busy machine, a request costs what is paid times the paid seconds, which are in a ratio to its latency.
             if per_hour or not metric:
-                at = math.log10(most / (per_hour or 3600.0 / ratio))
+                at = math.log10((most + costs.typical_beside_usd_per_hour) / (per_hour or 3600.0 / ratio))
                 found.append(Limit(f"price limit {money(most)}/h", 1, 0 if per_hour else -1, at))
     return found
 

@@ -50,7 +50,7 @@ class Choice(Selection):
 def choose(application: Application, predicted: PredictionSet) -> Choice:
     """Return the choice under the application's limits and objective (the paper, section 2.E, over all offers)."""
     return Choice(
-        rule=Rule.of(application, predicted.offers, predicted.busy_ratio, predicted.waiting),
+        rule=Rule.of(application, predicted.offers, predicted.busy_ratio, predicted.waiting, predicted.alone),
         latency=predicted.targets["latency"],
         metrics={name: one for name, one in predicted.targets.items() if name != "latency"},
         offers=predicted.offers,

@@ -39,7 +39,7 @@ class MetricValue(Strict):
 class Entry(ListedMachine):
     """A machine on the menu: what it is, what is expected of it, whether it meets every limit, and what it is named for.
 
-    `month` is its price of a month in which it is not always up.
+    `month` is its price of a month, with disk and address, where that is not 730 times `price`.
     """
 
     latency: Duration
@@ -72,7 +72,7 @@ class Entry(ListedMachine):
 
     @property
     def usd_per_month(self) -> float:
-        """The price of a month, in which the machine is up as `objective.load` says, else always."""
+        """The price of a month with disk and address, in which the machine is up as `objective.load` says, else always."""
         if self.month is None:
             return round(self.price * units.HOURS_PER_MONTH, 2)
         return float(self.month.removeprefix("$").removesuffix("/month"))
@@ -361,15 +361,15 @@ def thinned(rows: NDArray[np.intp]) -> list[int]:
 
 def entry_of(choice: Choice, row: int) -> Entry:
     """Return the menu entry of one offer."""
-    machine, costs = choice.offers.machine(row), choice.rule.costs
-    interval = choice.latency.interval(row, LEVEL)
+    machine, up = choice.offers.machine(row), choice.rule.costs.up
+    interval, paid = choice.latency.interval(row, LEVEL), machine.paid_usd_per_hour
     return Entry(
         **dict(machine),
         latency=rounded(float(choice.latency.value[row])),
         interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
         metrics=_metrics_of(choice, row),
         cost=rounded(float(choice.cost_usd_per_request[row])),
-        month=None if costs.up == 1 else month_text(float(costs.usd_per_month[row])),
+        month=None if (up, paid) == (1, machine.price) else month_text(paid * units.HOURS_PER_MONTH * up),
         objective=rounded(float(choice.objective[row])),
         measured=bool(choice.latency.measured[row]),
         extrapolated=bool(choice.latency.extrapolated[row]),

@@ -135,10 +135,17 @@ def relax(
     """
     price = relaxation.price_surface(vcpus, memory_gib, rule.costs.price_usd_per_hour)
     ratio, waiting = np.asarray(rule.costs.typical_busy_ratio), rule.waiting and rule.waiting.typical
+    beside = np.asarray(rule.costs.typical_beside_usd_per_hour)
 
     def at(c: Floats, m: Floats) -> tuple[Rule, Floats, dict[str, Floats]]:
         usd = np.maximum(price(c, m), 1e-9)
-        costs = replace(rule.costs, price_usd_per_hour=usd, spot=np.zeros(usd.shape, dtype=bool), busy_ratio=ratio)
+        costs = replace(
+            rule.costs,
+            price_usd_per_hour=usd,
+            spot=np.zeros(usd.shape, dtype=bool),
+            busy_ratio=ratio,
+            beside_usd_per_hour=beside,
+        )
         metrics = {name: surface(c, m) for name, surface in surfaces.items() if name != "latency"}
         return replace(rule, costs=costs, waiting=waiting), surfaces["latency"](c, m), metrics
 

@@ -80,12 +80,15 @@ class Rule:
         offers: Catalog,
         busy_ratio: Floats | None = None,
         waiting: Waiting | None = None,
+        alone: bool = False,
     ) -> "Rule":
-        """Return the rule of a spec over these offers; `busy_ratio` is that of `Costs`."""
+        """Return the rule of a spec over these offers; `busy_ratio` is that of `Costs`, `alone` leaves out disk and address."""
         spec = application.spec
         objective, constraints = spec.objective, spec.constraints
         return cls(
-            costs=Costs.of(spec, offers.price_usd_per_hour, offers.spot, busy_ratio),
+            costs=Costs.of(
+                spec, offers.price_usd_per_hour, offers.spot, busy_ratio, None if alone else offers.beside_usd_per_hour
+            ),
             names=offers.instance,
             alpha=objective.alpha,
             confidence=constraints.confidence,

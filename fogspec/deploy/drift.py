@@ -154,8 +154,8 @@ def needed(statistic: str) -> int:
 
 
 def _cost(application: Application, machine: Machine, busy_s: float) -> float:
-    """Return USD per request as in the choice: with data transfer, and the interruptions of a spot machine."""
-    costs = Costs.of(application.spec, np.array([machine.price]), np.array([machine.spot]))
+    """Return USD per request with disk, address and data transfer, and the interruptions of a spot machine."""
+    costs = Costs.of(application.spec, np.array([machine.paid_usd_per_hour]), np.array([machine.spot]))
     return float(costs.per_request(np.array([busy_s]))[0])
 
 

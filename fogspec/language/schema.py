@@ -268,7 +268,9 @@ class Constraints(Strict):
     cost: Annotated[Cost | None, BASIC] = Field(
         None, description="upper bound on the cost of one request", examples=["$0.001/request"]
     )
-    price: Price | None = Field(None, description="upper bound on the machine's hourly price", examples=["$1.50/h"])
+    price: Price | None = Field(
+        None, description="upper bound on the machine's hourly price, without disk and address", examples=["$1.50/h"]
+    )
     metrics: dict[str, float] = Field(
         {}, description="upper bounds on the application's own metrics", examples=[{"path_length": 12.5}]
     )

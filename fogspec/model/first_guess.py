@@ -76,7 +76,7 @@ def first_guess(library: PriorData, spec: Spec, robot: Robot, catalog: Catalog) 
     rows = offers.take(types.offer)
     limit = spec.constraints.latency
     within = latency_s <= (math.inf if limit is None else limit - spec.constraints.network_allowance)
-    cost = Costs.of(spec, rows.price_usd_per_hour, rows.spot).per_request(latency_s)
+    cost = Costs.of(spec, rows.paid_usd_per_hour, rows.spot).per_request(latency_s)
     score: Floats = np.where(within, cost, np.inf) if within.any() else latency_s
     best = int(np.argmin(score))
     width = math.exp(Z90 * math.sqrt(variance[best]))

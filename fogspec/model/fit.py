@@ -8,7 +8,7 @@ relaxed method (ADR 0005).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -31,7 +31,7 @@ from fogspec.numerics.waiting import Waiting, steepness
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.ranges import ERROR, LATENCY_S
 from fogspec.results.resources import at_work, contended
-from fogspec.results.schema import Arrivals, Measured, Results
+from fogspec.results.schema import PUBLISHED, Arrivals, Measured, Results
 
 # Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
 # measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data).
@@ -88,7 +88,8 @@ class Observation:
 
     `busy_ratio` is that of `fogspec.catalog.cost.Costs`, `arrivals` what is known of its latency at the declared rate: `values`
     are those of requests as they were measured. Of the time in which a request was open, all of its vCPUs could have
-    worked for `at_work` at most: with more of them, only that part becomes shorter.
+    worked for `at_work` at most: with more of them, only that part becomes shorter. It is `published` where others measured it:
+    their costs are those of machines alone.
     """
 
     id: str
@@ -98,6 +99,7 @@ class Observation:
     busy_ratio: float = 1.0
     at_work: float = 1.0
     arrivals: Arrivals | None = None
+    published: bool = False
 
     def at_rate(self, latency_s: float) -> float:
         """Return the latency at the declared rate for one of requests as they were measured, as far as that is known."""
@@ -221,6 +223,8 @@ def fit(application: Application, results: Results, library: str | None = None) 
     """
     statistic = application.spec.constraints.statistic
     known, unusable = partition(results.spec.samples, statistic, results.arrivals)
+    if results.spec.runner == PUBLISHED:
+        known = [replace(one, published=True) for one in known]
     groups: dict[str | None, list[Observation]] = {}
     for one in known:
         groups.setdefault(one.machine.gpu_key, []).append(one)

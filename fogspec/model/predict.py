@@ -178,6 +178,7 @@ class PredictionSpace:
             ratios[of],
             self,
             None if waiting is None else waiting.take(of),
+            alone(known),
         )
 
 
@@ -186,7 +187,7 @@ class PredictionSet:
     """Predictions of every target for the offers; no `space` where the families' curves predict.
 
     `busy_ratio` (n,) is that of `fogspec.catalog.cost.Costs`. `waiting` is that of the offers at the declared rate, None where
-    there is none or nothing is known of it.
+    there is none or nothing is known of it. Costs are those of machines `alone`, without disk and address.
     """
 
     offers: Catalog
@@ -195,6 +196,7 @@ class PredictionSet:
     busy_ratio: Floats
     space: PredictionSpace | None = None
     waiting: Waiting | None = None
+    alone: bool = False
 
 
 def predict(
@@ -214,7 +216,9 @@ def predict(
         waiting = _waiting(models.observations, types, ratios)
         waiting = None if waiting is None else waiting.take(types.of)
         by_curves = {name: _by_curves(models, offers, name, waiting if name == "latency" else None) for name in targets}
-        return PredictionSet(offers, types, by_curves, ratios[types.of], waiting=waiting)
+        return PredictionSet(
+            offers, types, by_curves, ratios[types.of], waiting=waiting, alone=alone(models.observations)
+        )
     found = predict_from(
         known=models.observations,
         unusable=models.rejected,
@@ -240,6 +244,11 @@ def predict_from(
     """Return predictions of these targets from observations and rejected samples."""
     machines = [*(one.machine for one in known), *(one.machine for one in unusable)]
     return PredictionSpace.of(offers, machines, catalog, library).predicted(known, unusable, targets)
+
+
+def alone(known: Sequence[Observation]) -> bool:
+    """Return whether costs are those of machines alone: as in what others published, which they are compared with."""
+    return any(one.published for one in known)
 
 
 def busy_ratios(known: Sequence[Observation], types: InstanceTypes) -> Floats:

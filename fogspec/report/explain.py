@@ -107,7 +107,7 @@ def _choice_rows(menu: Menu, choice: Choice) -> list[tuple[str, str]]:
     if entry is None or row is None:
         return []
     figures = f"{latency_of(entry)}, {metrics_text(entry.metrics)}{units.shown_cost(entry.cost)}"
-    rows = [("choice", machine_of(entry)), ("choice", f"{figures}, {units.shown_price(entry.price)}")]
+    rows = [("choice", machine_of(entry)), ("choice", f"{figures}, {entry.price_words}")]
     costs = choice.rule.costs.take(np.array([row]))
     busy_s = float(choice.latency.value[row] * costs.busy_ratio[0])
     if not costs.requests_per_s and not math.isclose(busy_s, choice.latency.value[row], rel_tol=0.005):

@@ -79,6 +79,8 @@ def card(menu: "Menu", application: "Application") -> Block:
     price = f"{units.shown_price(entry.price)}, {units.shown_month(entry.usd_per_month)}"
     met = "" if entry.probability is None else f"P(all limits) {entry.probability:.3g}"
     rows.append(("price", price, met, ""))
+    if entry.beside_words:
+        rows.append(("", f"with {entry.beside_words}", "", ""))
     more = {"network": scope_of(application), "baseline": baseline_of(menu)}
     return Block([*rows, *((name, words, "", "") for name, words in more.items() if words)])
 
@@ -127,7 +129,8 @@ def _named(menu: "Menu") -> list[str]:
     there = {role: entry for role, entry in roles.items() if entry is not None}
     same = [role for role, entry in there.items() if entry.machine == body.balanced.machine]
     others = [f"{role}: {entry.instance}" for role, entry in there.items() if role not in same]
-    return [f"> {', '.join(['choice', *same])}, {units.shown_month(body.balanced.usd_per_month)}", *others]
+    month = units.shown_month(body.balanced.usd_per_month) + " with disk and address" * bool(body.balanced.beside_words)
+    return [f"> {', '.join(['choice', *same])}, {month}", *others]
 
 
 def _in_unit(value: float, unit: str | None) -> str:

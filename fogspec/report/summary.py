@@ -168,7 +168,7 @@ def entry_text(entry: "Entry") -> str:
     """Format a menu entry: the machine, its price, latency with interval, and cost."""
     gpu = f" with {entry.gpu.label}" if entry.gpu else ""
     return (
-        f"{entry.name}{gpu} in {entry.infra}, {units.shown_price(entry.price)} "
+        f"{entry.name}{gpu} in {entry.infra}, {entry.price_words} "
         f"({units.shown_month(entry.usd_per_month)}): {latency_of(entry)} {how(entry)}, "
         f"{metrics_text(entry.metrics)}{units.shown_cost(entry.cost)}"
     )

@@ -228,6 +228,9 @@ class Requested(Lean):
     out_of_budget: bool = False
 
 
+PUBLISHED = "recorded"  # the runner of samples that others measured and published
+
+
 class ResultBody(Lean):
     """One sample: its record, None while there is none; what all attempts to measure it have `spent`; and provenance.
 

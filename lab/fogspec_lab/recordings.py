@@ -9,7 +9,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import sample_id
 from fogspec.results.io import raw_timings, read_results_folder, timings_path
 from fogspec.results.ranges import LATENCY_S
-from fogspec.results.schema import LatencySummary, Measured
+from fogspec.results.schema import PUBLISHED, LatencySummary, Measured
 from fogspec_lab.tables import read_table
 
 COLUMNS = ("instance_type", "latency_s")  # of a sweep
@@ -19,12 +19,14 @@ COLUMNS = ("instance_type", "latency_s")  # of a sweep
 class Recording:
     """One record to replay, and its raw timings if they were kept (gzip).
 
-    A record that is not `priced` has no cost of its own: it costs the plan's price for its duration.
+    A record that is not `priced` has no cost of its own: it costs the plan's price for its duration. `runner` is that of the
+    results that it is replayed into: they are `PUBLISHED` too where the record is.
     """
 
     record: Measured
     timings: Path | None = None
     priced: bool = True
+    runner: str = "replay"
 
 
 def replayable(path: str, after_s: float) -> tuple[list[Recording], str]:
@@ -73,8 +75,9 @@ def recordings(path: str) -> tuple[list[Recording], str]:
     for record in results.spec.samples:
         if record.timings is not None:
             raw_timings(record, folder)
+    runner = PUBLISHED if results.spec.runner == PUBLISHED else "replay"
     found = [
-        Recording(record, timings_path(folder, record.id) if record.timings else None)
+        Recording(record, timings_path(folder, record.id) if record.timings else None, runner=runner)
         for record in results.spec.samples
     ]
     return found, f"replayed from {Path(path).name}: {results.spec.source or f'measured with {results.spec.runner}'}"

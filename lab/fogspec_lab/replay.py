@@ -16,7 +16,6 @@ from fogspec_lab.recordings import Recording
 class ReplaySamples:
     """Replays recordings by infra and instance type; `pace` is the seconds waited per recorded second (0: no wait)."""
 
-    name = "replay"
     costs = Costs.RECORDED
     at_once = 64
     notes: tuple[str, ...] = ()
@@ -29,6 +28,7 @@ class ReplaySamples:
         pace: float = 0.0,
     ) -> None:
         self._recordings = list(recordings)
+        self.name = self._recordings[0].runner if self._recordings else "replay"
         self.source = source
         self._now_s, self._pace = now_s, pace
         self.poll_s = 0.05 if pace else 0.0

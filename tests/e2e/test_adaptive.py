@@ -230,7 +230,10 @@ def test_the_next_batch_does_without_a_machine_that_is_unavailable(project):
     later = [one["machine"]["instance"] for one in records.values() if one["id"] not in {one["id"] for one in first}]
     assert later
     assert gone not in later
-    assert {one["state"] for one in records.values() if one is not failed} == {"ok"}
+    others = [
+        one for one in records.values() if one is not failed and "-repeat-" not in one["id"]
+    ]  # measured once each
+    assert {one["state"] for one in others} == {"ok"}
     project("compile", "specs/demo.yaml", *AT)
     project("check", "specs/demo.yaml")
     again = bench(project, sweep="short.csv")

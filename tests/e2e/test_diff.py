@@ -105,7 +105,7 @@ def test_another_machine_with_its_price_and_why(repository: Shell) -> None:
     assert "### demo: a.large in aws/r1 -\\> a.small in aws/r1" in said
     assert "| machine | $0.40/h | $0.10/h | -75% |" in said
     assert "| `spec.objective.alpha` | 0\\.5 | 0\\.0 |" in said.partition("<details>")[0]
-    assert "**1 of 1 application changed.** All machines: $292/month before, $73.00/month after (-75%)." in said
+    assert "**1 of 1 application changed.** All machines: $332/month before, $113/month after (-66%)." in said
     assert "`apply` starts a new machine, and ends the old one once the new one answers" in said
     assert "![menu of demo](https://example.org/raw/abc/compiled/demo/menu.svg)" in said
     assert "everything is fresh; no benchmark needed" in said
@@ -127,7 +127,7 @@ def test_an_application_that_is_gone_and_one_that_stays(repository: Shell) -> No
     git(repository.folder, "rm", "-q", "-r", "specs/demo.yaml", "compiled/demo")
     said = repository("diff", "--markdown", "--since", base).out
     assert "### demo: no longer deployed" in said
-    assert "- runs on a.large in aws/r1, $0.40/h, $292/month" in said
+    assert "- runs on a.large in aws/r1, $0.40/h, $332/month with disk and address" in said
     assert "`fogspec down demo` ends it" in said
     assert "Not affected: other." in said
     assert "demo: no longer deployed; a.large in aws/r1 keeps running" in repository("diff", "--since", base).out
@@ -242,7 +242,7 @@ def test_values_for_policy_engines(repository: Shell) -> None:
     data = json.loads(repository("diff", "--since", base, "-o", "json").out)
     assert data["base"] == base
     assert data["total"] == {
-        "before_usd_per_month": 292.0, "after_usd_per_month": 73.0, "to_measure": 0, "measuring_usd_at_most": 0.0,
+        "before_usd_per_month": 332.22, "after_usd_per_month": 113.22, "to_measure": 0, "measuring_usd_at_most": 0.0,
         "policies_broken": 0,
     }  # fmt: skip
     (one,) = data["applications"]
@@ -403,7 +403,7 @@ def test_a_deleted_spec_is_no_longer_deployed_though_its_compiled_files_are_left
     git(repository.folder, "rm", "-q", "specs/demo.yaml")
     said = repository("diff", "--markdown", "--since", base).out
     assert "### demo: no longer deployed" in said
-    assert "All machines: $292/month before, $0/month after" in said
+    assert "All machines: $332/month before, $0/month after" in said
     assert "no longer deployed" not in repository("diff", "--markdown", "--since", base, "specs/other/other.yaml").out
     after = commit(repository, "deleted")
     assert "no longer deployed" not in repository("diff", "--markdown", "--since", after).out
@@ -415,7 +415,7 @@ def test_a_damaged_manifest_is_neither_gone_nor_replaces_a_machine(repository: S
     )
     said = repository("diff", "--markdown", "--since", "HEAD").out
     assert "### demo: the manifest is damaged" in said
-    assert "All machines: $292/month before, $292/month after" in said
+    assert "All machines: $332/month before, $332/month after" in said
     assert "replace" not in said
     assert "- **manifest is stale**" in said
     assert "| none" not in said
@@ -479,7 +479,7 @@ def test_a_damaged_lock_is_said_of_each_application(repository: Shell) -> None:
     said = repository("diff", "--markdown", "--since", "HEAD", code=1).out
     assert "- **specs/demo.lock:" in said
     assert restore in said
-    assert "All machines: $292/month before, $292/month after" in said
+    assert "All machines: $332/month before, $332/month after" in said
     assert restore in repository("status", "-v", code=1).out
     assert restore in repository("diff", code=1).out
     assert restore in repository("check", code=3).out

@@ -12,12 +12,14 @@ import yaml
 from fogspec.language.loader import SourceFile
 from fogspec.numerics import families, relaxation
 from fogspec.numerics.families import fit_all
+from fogspec.results.io import read_results_folder
 from fogspec.review.deployed import Deployed
 from fogspec_lab.paper import tables
 from fogspec_lab.paper.cases import price_usd_per_hour, snapshot
 from fogspec_lab.paper.claims import REGION, claims
 from tests.support.forking import forked
 from tests.support.menus import with_role
+from tests.support.results import write
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
@@ -307,7 +309,7 @@ def test_a_machine_that_is_up_in_sessions_costs_them_and_their_start_up(checkout
     [after] = json.loads(fogspec(checkout, "menu", "vslam-recorded", "-o", "json"))
     one, other = before["balanced"], after["balanced"]
     assert one["instance"] == other["instance"] == "c6i.large"
-    assert (one["usd_per_month"], other["usd_per_month"]) == (62.05, 0.15)
+    assert (one["usd_per_month"], other["usd_per_month"]) == (82.16, 0.2), "0.085 and 0.0275 USD per hour"
     assert (one["cost_usd_per_request"], other["cost_usd_per_request"]) == (0.00002361, 0.00002951)
     assert "up for 20 min after 5 min of start-up, 1/week: 1.81 h per month" in fogspec(
         checkout, "menu", "vslam-recorded"
@@ -340,3 +342,19 @@ def test_every_section_of_the_page_has_the_paper_ours_and_a_reason():
         assert section.rows, section.title
         assert all(len(row) == len(section.head) for row in section.rows), section.title
         assert all(all(row) for row in section.rows), section.title
+
+
+def test_disk_and_address_are_in_the_cost_of_what_was_measured_here_and_not_in_the_papers(checkout):
+    """They are in the price of a month of both; a limit on the price is one on the list's."""
+    spec, results = checkout / "specs" / "vslam-recorded.yaml", checkout / "results" / "vslam-recorded"
+    limits = "latency: 1s\n    price: $0.34/h"
+    spec.write_text(re.sub("latency: 40ms.*", limits, spec.read_text()).replace("alpha: 0.5", "alpha: 0"))
+    beside = (0.08 * 128 + 0.005 * 500 + 0.04 * 93) / 730 + 0.005
+    for runner, added in (("recorded", 0.0), ("skypilot", beside)):
+        write(results, read_results_folder(results).spec.model_copy(update={"runner": runner}))
+        [menu] = json.loads(fogspec(checkout, "menu", "vslam-recorded", "-o", "json"))
+        assert menu["balanced"]["instance"] == "c6i.2xlarge"
+        for entry in (menu["balanced"], *menu["front"]):
+            paid = (entry["price_usd_per_hour"] + added) / 3600 * entry["latency_s"]
+            assert entry["cost_usd_per_request"] == pytest.approx(paid, rel=1e-3)
+            assert entry["usd_per_month"] == pytest.approx((entry["price_usd_per_hour"] + beside) * 730, abs=0.01)

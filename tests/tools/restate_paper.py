@@ -15,7 +15,7 @@ from fogspec.base.layout import Layout
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.language.fingerprints import measured_record
 from fogspec.language.loader import load
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody
+from fogspec.results.schema import PUBLISHED, LatencySummary, Measured, ResultsBody
 from tests.support.results import write
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,7 +51,7 @@ def main(folder: Path) -> None:
 def restated(inputs: dict[str, Any], rows: list[dict[str, str]]) -> ResultsBody:
     """The rows of one application as results."""
     samples = [_record(row) for row in sorted(rows, key=lambda r: (r["gpu"], float(r["vcpus"]), r["instance"]))]
-    return ResultsBody(inputs=inputs, runner="recorded", source=SOURCE, samples=samples)
+    return ResultsBody(inputs=inputs, runner=PUBLISHED, source=SOURCE, samples=samples)
 
 
 def _record(row: dict[str, str]) -> Measured:

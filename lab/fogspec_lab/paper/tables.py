@@ -385,7 +385,7 @@ def _vacuum() -> Section:
             update={"objective": Objective(load=load), "hardware": hardware, "deployment": Deployment(until="20min")}
         )
         costs = Costs.of(spec, np.array([price]), np.array([False]))
-        month, request = float(costs.usd_per_month[0]), float(costs.per_request(np.array([0.01]))[0])
+        month, request = price * HOURS_PER_MONTH * costs.up, float(costs.per_request(np.array([0.01]))[0])
         started = f"with {shown_duration(startup_s)} of start-up" if startup_s else "without start-up"
         rows.append(
             (

@@ -31,19 +31,25 @@ def test_busy_seconds_at_the_price():
     assert costs().per_request(np.array([2.0, 2.0])) == pytest.approx([0.002, 0.002])
 
 
+def test_disk_and_address_are_paid_as_long_as_the_machine():
+    found = replace(costs(), beside_usd_per_hour=np.array([0.0, 1.8]))
+    assert found.per_request(np.array([2.0, 2.0])) == pytest.approx([0.002, 0.003])
+    assert found.latency_within(0.003) == pytest.approx([3.0, 2.0])
+    assert found.take(np.array([1])).per_request(np.array([2.0])) == pytest.approx([0.003])
+    assert replace(found, requests_per_s=2.0).per_request(np.array([2.0, 2.0])) == pytest.approx([0.0005, 0.00075])
+
+
 def test_an_hour_is_shared_by_its_requests():
     assert costs(requests=2.0).per_request(np.array([0.1, np.nan])) == pytest.approx([0.0005, np.nan], nan_ok=True)
 
 
-def test_a_session_pays_its_start_up_and_a_month_has_only_its_sessions():
+def test_a_session_pays_its_start_up():
     always = costs(requests=2.0)
     # Twenty minutes a week after five of start-up.
     week = 7 * 24 * 3600
     some = replace(always, used=1200 / week, up=1500 / week)
     latency = np.array([0.1, 0.1])
     assert some.per_request(latency) == pytest.approx(always.per_request(latency) * 1.25)
-    assert always.usd_per_month == pytest.approx(PRICE * 730)
-    assert some.usd_per_month == pytest.approx(PRICE * 730 * 1500 / week)
     limit = float(some.per_request(latency)[0])
     assert some.latency_within(limit * 1.001)[0] == np.inf
     assert some.latency_within(limit * 0.999)[0] == 0

@@ -62,6 +62,7 @@ def warmed(application: Application, warmup: int) -> Application:
 
 
 MACHINE = Machine(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
+PAID_USD_PER_HOUR = 0.526 + (0.08 * 128 + 0.005 * 500 + 0.04 * 93) / 730 + 0.005  # with its disk and address
 # How the spec's own probe names its requests.
 NAME = RecordRules.of(load([ROOT / "specs/grasp-planning-recorded.yaml"])[0].application).callback
 
@@ -76,7 +77,7 @@ def test_a_deployment_that_does_what_was_predicted(paper) -> None:
     application, expected = paper
     seen = observe(lines([expected.latency.predicted] * 50), application, expected, MACHINE)
     assert (seen.requests, seen.drift, seen.violated) == (50, "none", ())
-    assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * expected.latency.predicted)
+    assert seen.cost_usd_per_request == pytest.approx(PAID_USD_PER_HOUR / 3600 * expected.latency.predicted)
 
 
 def test_over_the_limit_too_dear_and_failing(paper) -> None:
@@ -86,7 +87,7 @@ def test_over_the_limit_too_dear_and_failing(paper) -> None:
     assert seen.violated == (Limit.LATENCY, Limit.COST, Limit.SUCCESS_RATE)
     texts = [violation_text(one, seen, expected) for one in seen.violated]
     assert "over its limit of 2 s" in texts[0]
-    assert texts[1] == "a cost of $1.32 per 1,000 requests is over its limit of $1.00 per 1,000 requests"
+    assert texts[1] == "a cost of $1.39 per 1,000 requests is over its limit of $1.00 per 1,000 requests"
     assert "20 of 70 requests failed" in texts[2]
 
 
@@ -209,7 +210,9 @@ def test_a_request_costs_what_the_choice_reckons(paper) -> None:
     spot = MACHINE.model_copy(update={"spot": True})
     seen = observe(lines([1.65] * 50), costlier, expected, spot)
     restarts = 1 + 60 / 3600
-    assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * 1.65 * restarts + 0.002 * 0.09, rel=1e-3)
+    assert seen.cost_usd_per_request == pytest.approx(
+        PAID_USD_PER_HOUR / 3600 * 1.65 * restarts + 0.002 * 0.09, rel=1e-3
+    )
 
 
 def test_nothing_seen_yet(paper) -> None:
