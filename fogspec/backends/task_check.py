@@ -12,7 +12,7 @@ from typing import Any
 
 from fogspec.backends.protocol import DEPLOYMENT_IDLE_MINUTES, TARGETS, Job, LaunchRefused
 from fogspec.base import digest
-from fogspec.base.clouds import cloud_of
+from fogspec.base.clouds import OwnEnd, cloud_of
 from fogspec.base.layout import MOST_BYTES
 from fogspec.base.project_files import LinkedPath
 from fogspec.catalog.machine import Machine
@@ -83,7 +83,7 @@ def _machine(machine: Machine) -> dict[str, Any]:
         wanted["disk_size"] = cloud.disk_gib
     if machine.gpu is not None:
         wanted["accelerators"] = machine.gpu.key
-    if machine.spot and cloud.containers:
+    if machine.spot and cloud.own_end is not OwnEnd.JOB_TIME_LIMIT:
         wanted["use_spot"] = True
     return wanted
 

@@ -9,7 +9,7 @@ from fogspec.base.layout import Layout
 from fogspec.bench.prepare import sample_task
 from fogspec.bench.results_file import ResultsFile
 from fogspec.bench.types import SampleTask
-from fogspec.catalog.filters import Filtered, filter_offers
+from fogspec.catalog.filters import Filtered, offers_for
 from fogspec.catalog.table import Catalog
 from fogspec.choice.next_samples import next_samples
 from fogspec.compile.agent_archive import agent_archive
@@ -64,7 +64,7 @@ class AdaptiveSampling:
     filtered: Filtered = field(init=False)
 
     def __post_init__(self) -> None:
-        self.filtered = filter_offers(self.catalog, self.application.spec.hardware, self.application.spec.infra)
+        self.filtered = offers_for(self.catalog, self.application.spec)
 
     def begin(self) -> list[Sample]:
         """Record the first batch, or resume with the recorded ones; return the samples of all of them."""
@@ -109,7 +109,7 @@ class AdaptiveSampling:
             offers,
             records,
             arrivals={} if load is None else arrivals_in(records, self.layout.results, rules, load.rate),
-            usd_per_sample=self.tasks.plan.spec.commitment.usd(offers.paid_usd_per_hour),
+            usd_per_sample=self.tasks.plan.spec.commitment.usd(offers),
             left_usd=left_usd,
             library=self.library,
             batch=benchmark.batch_size,

@@ -104,7 +104,7 @@ class Attempt:
 
     def billed_s(self, end: SampleStatus, clock: Clock) -> float:
         """Return the seconds for which its machine is paid, now that it is verified gone: those since its start, for each that
-        its provider says there was, and no less than its cloud bills.
+        its provider says there was, as its cloud bills.
 
         The end of one that ended during an absence was not observed: it came after the longest time that was committed at the
         latest, or when the request of an earlier controller to end it was carried out. Nothing is paid where it is certain that
@@ -115,8 +115,7 @@ class Attempt:
             return end.billed_s
         if self.machines == 0 and end.reason in NO_MACHINE and not (self.was_ready or self.is_resumed):
             return 0.0
-        least_s = cloud_of(self.started.sample.machine.infra).least_s
-        return max(self._paid_s(clock), least_s) * (self.machines or 1)
+        return cloud_of(self.started.sample.machine.infra).billed_s(self._paid_s(clock)) * (self.machines or 1)
 
     def _paid_s(self, clock: Clock) -> float:
         passed_s = self.started.passed_s(clock)

@@ -131,6 +131,10 @@ class Campaign:
         """Return what its machine costs with this backend, disk and address included, in USD per hour."""
         return 0.0 if self.backend.costs == Costs.NOTHING else sample.machine.paid_usd_per_hour
 
+    def most_usd(self, sample: Sample) -> float:
+        """Return the most that a sample can cost with this backend."""
+        return 0.0 if self.backend.costs == Costs.NOTHING else self.config.commitment.usd(sample.machine)
+
     def _continuing(self) -> list[Attempt]:
         return [attempt for attempt in self.running.values() if attempt.end is None]
 
@@ -170,7 +174,7 @@ class Campaign:
                 continue
             if self._waits(entry) or self._has_no_room(entry.sample):
                 continue
-            commitment = self.config.commitment.usd(self.price(entry.sample))
+            commitment = self.most_usd(entry.sample)
             budget = self.config.budget_usd
             if budget is not None and overdrawn(self._bound_usd() + commitment, budget):
                 if not self.running:
@@ -244,7 +248,8 @@ class Campaign:
 
     def _outlived_usd(self) -> float:
         there = [*self.running.values(), *self.unstopped]
-        return sum(one.started.price_usd_per_hour * one.outlived_s(self.clock) / 3600 for one in there)
+        records = [(one.started, one.outlived_s(self.clock)) for one in there]
+        return sum(one.usd(one.paid_s + outlived_s) - one.commitment_usd for one, outlived_s in records)
 
     def _stop_what_does_not_fit(self) -> None:
         """If the budget was lowered since they were started, stop the most expensive machines first."""

@@ -15,7 +15,7 @@ from fogspec.base.layout import MOST_BYTES
 from fogspec.base.units import rounded, shown_duration
 from fogspec.bench.prepare import Prepared, against_spec
 from fogspec.bench.results_file import ResultsFile, set_aside
-from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.filters import offers_for
 from fogspec.catalog.machine import Machine
 from fogspec.choice.menu import LEVEL
 from fogspec.compile.decision import Selection, select
@@ -90,7 +90,7 @@ def confirming(prepared: Prepared, inputs: Inputs, runner: str) -> tuple[Prepare
     if older is None or not prepared.outdated or not prepared.standing.comparable or older.spec.runner != runner:
         return prepared, None
     application = pinned(prepared.application, inputs.pins)
-    admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
+    admissible = offers_for(inputs.catalog, application.spec)
     found = select(inputs, application, admissible, older)
     expected = _expected(prepared, older, found)
     if expected is None:

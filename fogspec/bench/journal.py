@@ -20,6 +20,7 @@ from typing import Any
 
 from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.clock import Clock
+from fogspec.base.clouds import cloud_of
 from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import MOST_BYTES
 from fogspec.base.project_files import ProjectFiles
@@ -56,7 +57,11 @@ class LaunchRecord:
     @property
     def commitment_usd(self) -> float:
         """The most that it can cost: its price for the longest time that is paid."""
-        return self.price_usd_per_hour * self.paid_s / 3600
+        return self.usd(self.paid_s)
+
+    def usd(self, paid_s: float) -> float:
+        """Return what it costs while it is there for so long, as its cloud bills."""
+        return self.price_usd_per_hour * cloud_of(self.sample.machine.infra).billed_s(paid_s) / 3600
 
     def passed_s(self, clock: Clock) -> float:
         """Return the seconds since it was started.

@@ -71,7 +71,7 @@ class Quote:
 
     def usd(self, sample: Sample) -> float:
         """Return the most that one sample can cost."""
-        return self.commitment.usd(sample.machine.paid_usd_per_hour)
+        return self.commitment.usd(sample.machine)
 
     def spent_line(self, prepared: Prepared) -> str | None:
         """Return what is spent of the budget already; None if it is nothing, or no money."""

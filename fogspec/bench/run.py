@@ -224,7 +224,7 @@ def _check_affordable(campaign: Campaign, prepared: Prepared) -> None:
     budget, spent_usd = prepared.application.spec.benchmark.budget, campaign.journal.state.spent_usd
     if campaign.backend.costs != Costs.REAL or budget is None or not prepared.todo:
         return
-    least_usd = campaign.config.commitment.usd(min(map(campaign.price, prepared.todo)))
+    least_usd = min(map(campaign.most_usd, prepared.todo))
     if overdrawn(spent_usd + least_usd, budget):
         needs = f"the next sample may cost {dollars(least_usd)}"
         raise Refused(

@@ -1,7 +1,7 @@
 """The sample past the plan that may settle whether a machine meets the limits."""
 
 from fogspec.bench.prepare import Prepared
-from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.filters import offers_for
 from fogspec.choice.next_samples import DECIDES
 from fogspec.compile.decision import outlook_after, select
 from fogspec.compile.inputs import Inputs
@@ -18,7 +18,7 @@ def settling(prepared: Prepared, inputs: Inputs) -> Prepared:
     if selects_more(prepared.application, plan.spec.sampler, results.spec.sampling):
         return prepared
     application = pinned(prepared.application, inputs.pins)
-    offers = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
+    offers = offers_for(inputs.catalog, application.spec)
     found = select(inputs, application, offers, results)
     one = outlook_after(application, found, results, plan)
     if one is None or one.cause != "one sample":

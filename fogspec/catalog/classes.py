@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.clouds import Cloud, cloud_of
+from fogspec.base.clouds import Cloud, OwnEnd, cloud_of
 from fogspec.catalog.table import Catalog, Strings
 from fogspec.language.schema import MachineClass
 
@@ -34,6 +34,14 @@ def startable(offers: Catalog) -> Mask:
     found = np.ones(len(offers), dtype=np.bool_)
     for cloud, here in _clouds(offers):
         found &= ~(here & _matching(offers.instance, cloud.unstartable))
+    return found
+
+
+def takes_images(offers: Catalog) -> Mask:
+    """Return the mask of machines that run a container image, or of a cluster that never does, and says so."""
+    found = np.ones(len(offers), dtype=np.bool_)
+    for cloud, here in _clouds(offers):
+        found &= ~here | (cloud.containers or cloud.own_end is OwnEnd.JOB_TIME_LIMIT)
     return found
 
 

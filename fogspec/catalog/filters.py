@@ -13,11 +13,11 @@ from fogspec.base.units import Range
 from fogspec.catalog import classes
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.catalog.table import Catalog, Floats, Strings, of_machine
-from fogspec.language.schema import CLASSES, STANDARD, Hardware, MachineClass
+from fogspec.language.schema import CLASSES, STANDARD, Hardware, MachineClass, Spec
 
 Mask = NDArray[np.bool_]
 ALLOW, DENY = "hardware.allow", "hardware.deny"
-STARTED = "what SkyPilot can start"
+STARTED, IMAGES = "what SkyPilot can start", "where SkyPilot starts images"
 PLACES_IN_ZONES = {cloud.name for cloud in CLOUDS.values() if cloud.places_in_zones}
 
 
@@ -64,20 +64,29 @@ class Filtered:
             found.append(
                 f"left out: {counts}; to admit them: spec.hardware.allow: [{', '.join((STANDARD, *self.left_out))}]"
             )
-        if removed := next((one.removed for one in self.funnel.filters if one.name == STARTED), 0):
-            found.append(f"left out: {removed:,} offer{'' if removed == 1 else 's'} that SkyPilot cannot start")
+        for name, why in (
+            (STARTED, "that SkyPilot cannot start"),
+            (IMAGES, "where SkyPilot starts no container images"),
+        ):
+            if removed := next((one.removed for one in self.funnel.filters if one.name == name), 0):
+                found.append(f"left out: {removed:,} offer{'' if removed == 1 else 's'} {why}")
         return "; ".join(found) or None
 
 
-def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Filtered:
-    """Return the offers that `hardware` and `infra` admit, in the order of the catalog.
+def offers_for(catalog: Catalog, spec: Spec) -> Filtered:
+    """Return the offers that a spec admits; see `filter_offers`."""
+    return filter_offers(catalog, spec.hardware, spec.infra, image=spec.ros is not None and spec.ros.image is not None)
+
+
+def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str], image: bool = False) -> Filtered:
+    """Return the offers that `hardware` and `infra` admit, in the order of the catalog; with an `image`, where one can run.
 
     Zones of one region are merged into one offer at the highest of their prices, because a task pins the region and
     may be given any zone of it; an `infra` that names a zone keeps its offers apart.
     """
     filters: list[Filter] = []
     offers, left_out = catalog, dict[MachineClass, Catalog]()
-    for name, mask in _filters(hardware, infra):
+    for name, mask in _filters(hardware, infra, image):
         kept = mask(offers)
         removed = len(kept) - int(kept.sum())
         left_out = {kind: rows.take(mask(rows)) for kind, rows in left_out.items()}
@@ -152,10 +161,13 @@ def matches_names(catalog: Catalog, patterns: Sequence[str]) -> Mask:
     return _within(catalog.instance, {name for name in set(catalog.instance.tolist()) if fits(name)})
 
 
-def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callable[[Catalog], Mask]]]:
+def _filters(
+    hardware: Hardware, infra: Sequence[str], image: bool = False
+) -> list[tuple[str, Callable[[Catalog], Mask]]]:
     return [
         ("infra", lambda c: _any(c, [matches_infra(c, entry) for entry in infra])),
         (STARTED, classes.startable),
+        *([(IMAGES, classes.takes_images)] if image else []),
         ("hardware.spot", lambda c: np.full(len(c), True) if hardware.spot else ~c.spot),
         ("hardware.arch", lambda c: _within(c.arch, set(hardware.arch))),
         (ALLOW, lambda c: _listed(c, hardware.allow)),

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from fogspec.base.clouds import LOCAL, beside, cloud_name
+from fogspec.base.clouds import LOCAL, beside, beside_what, cloud_name, cloud_of
 from fogspec.base.quantities import Bounds, Count, Memory, Price, Strict
 from fogspec.base.units import shown_price
 from fogspec.language.schema import local_shape
@@ -57,14 +57,29 @@ class Machine(Strict):
 
     @property
     def paid_usd_per_hour(self) -> float:
-        """Return what it costs with the disk and the address that come with it; `price` is without them."""
-        return self.price + beside(self.infra)[0] if self.price > 0 else self.price
+        """Return what it costs with its disk and address, and CPU credits at full load; `price` is without them."""
+        if not self.price:
+            return 0.0
+        credits_usd_per_hour = cloud_of(self.infra).credit_usd_per_hour(self.instance, self.cpus)
+        return self.price + beside(self.infra)[0] + credits_usd_per_hour
+
+    @property
+    def beside_what(self) -> str:
+        """Return `disk and address`, what is paid beside its price; empty if nothing is."""
+        return beside_what(self.infra, self.instance) if self.price else ""
+
+    def usd(self, paid_s: float) -> float:
+        """Return what it costs while it is there for so long, as its cloud bills: by the second, the minute or the hour."""
+        return self.paid_usd_per_hour * cloud_of(self.infra).billed_s(paid_s) / 3600
 
     @property
     def price_words(self) -> str:
-        """Return `$0.085/h, and $0.028/h for disk and address`, for people."""
+        """Return `$0.085/h, and $0.028/h for disk and address`, or `$0.51/h for each hour that begins, and ...`, for people."""
+        step_s, hours = cloud_of(self.infra).step_s, ""
+        if self.price and (step_s is None or step_s >= 3600):
+            hours = " for each hour that begins" + ", which is assumed," * (step_s is None)
         words = self.beside_words
-        return f"{shown_price(self.price)}, and {words}" if words else shown_price(self.price)
+        return f"{shown_price(self.price)}{hours}, and {words}" if words else f"{shown_price(self.price)}{hours}"
 
     @property
     def beside_words(self) -> str:
@@ -73,7 +88,7 @@ class Machine(Strict):
         if not usd_per_hour or not self.price:
             return ""
         assumed = ", which is assumed," if is_assumed else ""
-        return f"{shown_price(usd_per_hour, 2)}{assumed} for disk and address"
+        return f"{shown_price(self.paid_usd_per_hour - self.price, 2)}{assumed} for {self.beside_what}"
 
     @property
     def is_local(self) -> bool:

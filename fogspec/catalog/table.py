@@ -73,11 +73,21 @@ class Catalog:
 
     @property
     def beside_usd_per_hour(self) -> Floats:
-        """Return what disk and address of each machine cost beside its price; nothing where it has none."""
+        """Return what disk, address and CPU credits of each machine cost beside its price; nothing where it has none."""
         places = list(zip(self.cloud.tolist(), self.region.tolist(), strict=True))
         beside = {place: cloud_of(place[0]).beside(place[1])[0] for place in set(places)}
         usd_per_hour = np.fromiter(map(beside.__getitem__, places), np.float64, len(places))
+        types = list(zip(self.cloud.tolist(), self.instance.tolist(), strict=True))
+        credits = {one: cloud_of(one[0]).credit_usd_per_hour(one[1], 1.0) for one in set(types)}
+        if any(credits.values()):
+            usd_per_hour += self.vcpus * np.fromiter(map(credits.__getitem__, types), np.float64, len(types))
         return np.where(self.price_usd_per_hour > 0, usd_per_hour, 0.0)
+
+    def usd(self, paid_s: float) -> Floats:
+        """Return what each machine costs while it is there for so long; see `Machine.usd`."""
+        billed_s = {cloud: cloud_of(cloud).billed_s(paid_s) for cloud in set(self.cloud.tolist())}
+        seconds = np.fromiter(map(billed_s.__getitem__, self.cloud.tolist()), np.float64, len(self))
+        return np.asarray(self.paid_usd_per_hour * seconds / 3600)
 
     def in_order(self) -> "Catalog":
         """Return the catalog sorted by spot, cloud, region, instance, accelerators, zone, and the rest of a row."""

@@ -17,7 +17,7 @@ from fogspec.base.errors import FogspecError, OutOfDate
 from fogspec.base.layout import Layout
 from fogspec.base.text import count, restore_command, shell_command
 from fogspec.base.units import dollars
-from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.filters import offers_for
 from fogspec.catalog.table import Catalog, in_its_unit
 from fogspec.check.compare import change_text, changes, changes_in_file
 from fogspec.compile.artifacts import Artifacts
@@ -333,7 +333,7 @@ def sample_changes(inputs: Inputs, plan: Plan) -> list[str]:
     if results is not None and results.spec.sampling is not None:
         return []
     spec = inputs.application.spec
-    admissible = filter_offers(inputs.catalog, spec.hardware, spec.infra)
+    admissible = offers_for(inputs.catalog, spec)
     return _other_samples(plan.spec, plan_for(inputs, admissible, results).spec)
 
 

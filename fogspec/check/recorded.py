@@ -17,7 +17,7 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, Refused
 from fogspec.base.text import shell_command
 from fogspec.base.units import dollars
-from fogspec.catalog.filters import filter_offers, price_now
+from fogspec.catalog.filters import offers_for, price_now
 from fogspec.catalog.table import in_its_unit
 from fogspec.choice.menu import Menu
 from fogspec.compile.artifacts import Artifacts
@@ -69,7 +69,7 @@ def _recorded(inputs: Inputs) -> Artifacts:
         inputs=inputs,
         application=exact,
         plan=plan,
-        admissible=filter_offers(inputs.catalog, exact.spec.hardware, exact.spec.infra),
+        admissible=offers_for(inputs.catalog, exact.spec),
         results=results,
         stale=stale,
         standing=found,

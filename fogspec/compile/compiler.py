@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, Infeasible, InvalidInput, Refused
 from fogspec.base.units import dollars, format_money
-from fogspec.catalog.filters import Filtered, filter_offers
+from fogspec.catalog.filters import Filtered, offers_for
 from fogspec.catalog.table import in_its_unit
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
@@ -67,7 +67,7 @@ def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
 
 def _admissible(inputs: Inputs) -> Filtered:
     spec = inputs.application.spec
-    return filter_offers(inputs.catalog, spec.hardware, spec.infra)
+    return offers_for(inputs.catalog, spec)
 
 
 def _planned(inputs: Inputs, admissible: Filtered, results: Results | None) -> tuple[Plan, dict[Path, bytes]]:

@@ -131,7 +131,7 @@ def select_from(application: Application, models: Fitted, predicted: PredictionS
 def outlook_after(application: Application, found: Selection, results: Results, plan: Plan) -> Outlook | None:
     """Return what stands between the machines and the limits after these results; None where one is chosen."""
     offers, budget = found.choice.offers, application.spec.benchmark.budget
-    usd = plan.spec.commitment.usd(offers.paid_usd_per_hour)
+    usd = plan.spec.commitment.usd(offers)
     left_usd = math.inf if budget is None else budget - results.spec.spent
     failed = [one.machine for one in found.models.rejected]
     return outlook_of(application, found.predicted, found.choice, failed, usd, left_usd)

@@ -115,7 +115,7 @@ def sample_comment(sample: Sample, commitment: Commitment) -> str:
     """Return which machine measures a sample and why, its price, its longest time and the most that it may cost."""
     machine = sample.machine
     most = units.shown_duration(commitment.paid_s)
-    cost = f"{machine.price_words}, at most {most}, at most {units.dollars(commitment.usd(machine.paid_usd_per_hour))}"
+    cost = f"{machine.price_words}, at most {most}, at most {units.dollars(commitment.usd(machine))}"
     free = f"No price, at most {most}"
     return f"{machine.instance} on {machine.infra}: {sample.reason}. {cost if machine.price else free}."
 
@@ -139,7 +139,9 @@ def deploy_task(application: Application, machine: Machine, work: Work) -> dict[
     settings = engine_settings(machine, None)
     if settings is not None:
         task["config"] = settings
-    if LINK_FOLDER in work.mounts and link_of(application).protocol == "tcp" and cloud_of(machine.infra).containers:
+    cloud = cloud_of(machine.infra)
+    opens = cloud.opens_ports or cloud.own_end is OwnEnd.POD_DEADLINE
+    if LINK_FOLDER in work.mounts and link_of(application).protocol == "tcp" and opens:
         task["resources"]["ports"] = [port_of(application)]
     return {**task, "envs": dict(work.envs)} if work.envs else task
 
@@ -183,7 +185,7 @@ def _resources(spec: Spec, machine: Machine, autostop: Mapping[str, Any], labels
         resources["max_hourly_cost"] = math.ceil(round(machine.price * 1e4, 6)) / 1e4
     if machine.gpu is not None:
         resources["accelerators"] = machine.gpu.key
-    if machine.spot and cloud.containers:
+    if machine.spot and cloud.own_end is not OwnEnd.JOB_TIME_LIMIT:
         resources["use_spot"] = True
     if spec.ros is not None and spec.ros.image is not None and cloud.on_skypilot and cloud.containers:
         resources["image_id"] = f"docker:{spec.ros.image}"
@@ -197,12 +199,10 @@ def left_out(spec: Spec, machine: Machine) -> list[Warned]:
         return [warned(codes.left_out, what="image", cloud=cloud.name, image=image)] if image else []
     if cloud.own_end is OwnEnd.POD_DEADLINE and image and (login := registry_login(spec)):
         return [warned(codes.left_out, what="login", cloud=cloud.name, image=image, secrets=login)]
-    if cloud.containers:
-        return []
     found = []
-    if image:
+    if image and not cloud.containers:
         found.append(warned(codes.left_out, what="image", cloud=cloud.name, image=image))
-    if machine.spot:
+    if machine.spot and cloud.own_end is OwnEnd.JOB_TIME_LIMIT:
         found.append(warned(codes.left_out, what="spot", cloud=cloud.name))
     return found
 

@@ -252,7 +252,7 @@ class Rollout:
         if not self.end:
             return None
         # What serves now is paid until this one answers.
-        meanwhile = sum(other.machine.paid_usd_per_hour for other in self.live.machines) * self.ready_timeout_s / 3600
+        meanwhile = sum(other.machine.usd(self.ready_timeout_s) for other in self.live.machines)
         machine = one.machine.model_copy(update={"price": one.price_usd_per_hour})
         end = self.end if self.ends is None else End(self.ends, self.end.budget_usd)
         return end.date(machine, self.live.times.date(), self.live.total_usd() + meanwhile)

@@ -54,8 +54,9 @@ class End:
             until = parse_until(self.until)
             found.append(until if isinstance(until, datetime) else now + timedelta(seconds=until))
         if self.budget_usd is not None and machine.price > 0:
-            paid_s = 3600 * (self.budget_usd - spent_usd) / machine.paid_usd_per_hour
-            away_s = PROVISIONING_S + TEARDOWN_S if cloud_of(machine.infra).on_skypilot else 0.0
+            cloud = cloud_of(machine.infra)
+            paid_s = cloud.affordable_s(3600 * (self.budget_usd - spent_usd) / machine.paid_usd_per_hour)
+            away_s = PROVISIONING_S + TEARDOWN_S if cloud.on_skypilot else 0.0
             found.append(now + timedelta(seconds=max(0.0, min(paid_s - away_s, 1e9))))
             reason = "spec.deployment.budget" if found[-1] == min(found) else reason
         end = min(found, default=now + timedelta(days=10_000))

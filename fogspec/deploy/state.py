@@ -261,7 +261,7 @@ class DeploymentState:
 
     def spent(self, machine: DeployedMachine) -> float:
         """Return the cost of the machine so far, in USD, at the price it was started for, disk and address included."""
-        return machine.machine.paid_usd_per_hour * self.up_s(machine) / 3600
+        return machine.machine.usd(self.up_s(machine))
 
     def up_s(self, machine: DeployedMachine) -> float:
         """Return the seconds since its start."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from fogspec.base.units import rounded, shown_duration, shown_interval, shown_price
 from fogspec.catalog.cost import Costs
-from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.filters import offers_for
 from fogspec.catalog.instance_types import instance_types
 from fogspec.catalog.table import Catalog
 from fogspec.language.schema import Spec
@@ -61,7 +61,7 @@ class Guess:
 
 def first_guess(library: PriorData, spec: Spec, robot: Robot, catalog: Catalog) -> Guess | None:
     """Return a machine on offer; None if the library or the catalog says too little of the admissible machines."""
-    offers = filter_offers(catalog, spec.hardware, spec.infra).offers
+    offers = offers_for(catalog, spec).offers
     offers = offers.take((offers.memory_gib >= robot.used_gib) & ~offers.spot)
     if not len(offers):
         return None

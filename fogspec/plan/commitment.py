@@ -13,18 +13,22 @@ stops the machine before; the sum holds for one that cannot, from the moment at 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from fogspec.base.clouds import OwnEnd, cloud_of
 from fogspec.base.units import shown_duration, shown_price
 from fogspec.catalog.machine import Machine
 from fogspec.language.schema import Benchmark
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+Usd = TypeVar("Usd", covariant=True)
 
-Usd = TypeVar("Usd", float, "NDArray[np.float64]")
+
+class Billed(Protocol[Usd]):
+    """A machine, or a catalog of them."""
+
+    def usd(self, paid_s: float) -> Usd:
+        """Return what it costs, or each of them, while it is there for so long."""
+
 
 PROVISIONING_S = 300.0
 COLLECTING_S = 300.0
@@ -69,9 +73,9 @@ class Commitment:
         """The longest time that is paid: all of it."""
         return self.machine_s + TEARDOWN_S
 
-    def usd(self, paid_usd_per_hour: Usd) -> Usd:
-        """Return the most that a sample can cost on a machine, or on each, that is paid so much with disk and address."""
-        return paid_usd_per_hour * self.paid_s / 3600
+    def usd(self, machine: Billed[Usd]) -> Usd:
+        """Return the most that a sample can cost on a machine, or on each of a catalog, disk and address included."""
+        return machine.usd(self.paid_s)
 
 
 def room_s(paid_s: float) -> float:

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.errors import Infeasible, InvalidInput
-from fogspec.catalog.classes import platforms, startable
+from fogspec.catalog.classes import platforms, startable, takes_images
 from fogspec.catalog.filters import (
     Filtered,
     before_empty,
-    filter_offers,
     gpu_type,
     matches_gpu,
     matches_infra,
     merge_zones,
+    offers_for,
     unknown_places,
 )
 from fogspec.catalog.machine import host_shape
@@ -65,7 +65,7 @@ def make_plan(
     """
     spec = application.spec
     if admissible is None:
-        admissible = filter_offers(catalog, spec.hardware, spec.infra)
+        admissible = offers_for(catalog, spec)
     found = design(spec, catalog, admissible)
     return plan_of(application, catalog.about, sampler=spec.sampler, design=found, inputs=inputs)
 
@@ -133,7 +133,7 @@ def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
 
 def max_cost_usd(spec: Spec, offers: Catalog) -> Floats:
     """Return the maximum cost in USD of one sample of each machine."""
-    return commitment(spec).usd(offers.paid_usd_per_hour)
+    return commitment(spec).usd(offers)
 
 
 def commitment(spec: Spec) -> Commitment:
@@ -265,8 +265,15 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
     if not any(len(place) for place in places):
         raise InvalidInput(
             f"spec.benchmark.machines: SkyPilot cannot start {name!r} in {', '.join(spec.infra)}",
-            "it requests a disk type or an image that this series does not support: name a machine of another series",
+            "it requests a disk type, an image or an end that they do not support: name another machine, or another place",
         )
+    if spec.ros is not None and spec.ros.image is not None:
+        places = [place.take(takes_images(place)) for place in places]
+        if not any(len(place) for place in places):
+            raise InvalidInput(
+                f"spec.benchmark.machines: SkyPilot starts no container images where {name!r} is",
+                "leave out spec.ros.image, or name another place in spec.infra",
+            )
     for place in filter(len, places):
         named = (place.take(matches_gpu(place, gpu)) for gpu in spec.hardware.gpus)
         best = next(filter(len, named), place)

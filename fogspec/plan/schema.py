@@ -202,7 +202,7 @@ def estimate(samples: Sequence[Sample], each: Commitment) -> Estimate:
     """Return the most that the samples can cost in USD, and the time in seconds that they measure and set up at most."""
     usd_per_hour = math.fsum(sample.machine.paid_usd_per_hour for sample in samples)
     measuring, setup = (round(usd_per_hour * seconds / 3600, 6) for seconds in (each.measuring_s, each.setup_s))
-    total = round(each.usd(usd_per_hour), 6)
+    total = round(math.fsum(each.usd(sample.machine) for sample in samples), 6)
     overhead = max(round(total - measuring - setup, 6), 0.0)
     return Estimate(measuring=measuring, setup=setup, overhead=overhead, total=total, wall=each.wall_s)
 

@@ -57,7 +57,7 @@ class Analysis:
         """Analyze a decision; refit the model without each sample in turn."""
         offers = compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
-        usd = body.commitment.usd(offers.paid_usd_per_hour)
+        usd = body.commitment.usd(offers)
         failed = [one.machine for one in decision.models.rejected]
         return cls(
             slacks(decision.choice),
@@ -324,7 +324,7 @@ def _another_server(compiled: Artifacts, decision: Decision) -> str | None:
         return None
     own = decision.models.observations
     measured = [one.values["latency"] for one in own if one.machine.type_key == machine.type_key]
-    usd = compiled.plan.spec.commitment.usd(machine.paid_usd_per_hour)
+    usd = compiled.plan.spec.commitment.usd(machine)
     chance = SHIFTS.get(machine.cloud_name, OTHER).beyond(DIFFERENT)
     differ = (
         f"servers of one type on {machine.cloud_name} differ by more than {DIFFERENT:.0%} with probability {chance:.2f}"

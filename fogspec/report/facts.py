@@ -129,8 +129,8 @@ def _named(menu: "Menu") -> list[str]:
     there = {role: entry for role, entry in roles.items() if entry is not None}
     same = [role for role, entry in there.items() if entry.machine == body.balanced.machine]
     others = [f"{role}: {entry.instance}" for role, entry in there.items() if role not in same]
-    month = units.shown_month(body.balanced.usd_per_month) + " with disk and address" * bool(body.balanced.beside_words)
-    return [f"> {', '.join(['choice', *same])}, {month}", *others]
+    beside = f" with {body.balanced.beside_what}" if body.balanced.beside_what else ""
+    return [f"> {', '.join(['choice', *same])}, {units.shown_month(body.balanced.usd_per_month)}{beside}", *others]
 
 
 def _in_unit(value: float, unit: str | None) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from fogspec.base import units
 from fogspec.base.errors import NotMeasured, OutOfDate, UsageError
 from fogspec.base.text import count, paragraph, shell_command
-from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.filters import offers_for
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import Entry, Menu, entry_of, make_menu, shown_text
 from fogspec.choice.shortlist import shortlist
@@ -68,13 +68,11 @@ def menu_view(inputs: Inputs, changes: Changes) -> tuple[Menu, list[Entry]]:
             raise NotMeasured(f"{layout.name} was not measured yet: there is no menu", bench)
         raise OutOfDate(f"{layout.name} has changed since it was measured: there is no menu", bench)
     application = pinned(changed(inputs.application, changes), inputs.pins)
-    admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
+    admissible = offers_for(inputs.catalog, application.spec)
     found = select(inputs, application, admissible, results)
     measured = inputs.measured
     if inputs.base is not None:
-        admissible = filter_offers(
-            measured.catalog, measured.application.spec.hardware, measured.application.spec.infra
-        )
+        admissible = offers_for(measured.catalog, measured.application.spec)
     plan = plan_for(measured, admissible, results)
     left = unfinished(measured.application, plan, results)
     waived = () if standing is None else standing.waived

@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from fogspec.base import units
-from fogspec.base.clouds import beside, cloud_of
+from fogspec.base.clouds import beside_what, cloud_of
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
@@ -128,7 +128,10 @@ class Deployed:
             return []
         latency = self.part("expected", "latency")
         image = self.get("spec", "image") or "none"
-        counted = " with disk and address" * bool(self.number(PRICE) and beside(str(self.get("spec", "infra")))[0])
+        what = (
+            beside_what(str(self.get("spec", "infra")), str(self.get("spec", "instance"))) if self.number(PRICE) else ""
+        )
+        counted = f" with {what}" if what else ""
         found = [f"runs on {self.place}, {self.shown(PRICE)}, {self.shown(MONTH)}{counted}; image {image}"]
         ends = [end for one in self.listed("expected", "latency", "interval") if (end := number(one)) is not None]
         within = f" [{', '.join(map(units.shown_duration, ends))}]" if ends else ""

@@ -118,7 +118,7 @@ class Offer:
         if self.is_local:
             return 0.0
         # Once more, for what the killed bench had started.
-        return 2 * sum(TIMES.usd(one.paid_usd_per_hour) for one in self.machines)
+        return 2 * sum(TIMES.usd(one) for one in self.machines)
 
     @property
     def deployed_usd(self) -> float:

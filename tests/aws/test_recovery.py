@@ -183,5 +183,5 @@ def test_a_machine_that_never_answers_is_ended_in_time_and_paid(silent: tuple[Aw
     plan = read_document(site.project / "compiled" / "silent" / "plan.yaml", Plan).spec
     assert machine.lived_s <= plan.commitment.paid_s
     assert record.spent > 0
-    assert within_what_is_booked(site, "silent", plan.commitment.usd(record.machine.price))
+    assert within_what_is_booked(site, "silent", plan.commitment.usd(record.machine))
     assert site.left() == []

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 import sky
-from sky import exceptions, global_user_state, provision, resources, skypilot_config
+from sky import clouds, exceptions, global_user_state, provision, resources, skypilot_config
 from sky.client import sdk
 from sky.clouds import aws, azure, gcp
 from sky.utils import registry
@@ -68,6 +68,12 @@ least_gib = max(aws.DEFAULT_AMI_GB, gcp.DEFAULT_GCP_IMAGE_GB, azure._DEFAULT_SKY
 # Whether it still asks for a disk that series with Hyperdisk alone do not take.
 series = ("c4", "c4d", "c4a", "n4d", "n4a", "h4d", "m4", "x4", "n4")
 plain = [one for one in series if gcp.GCP._get_disk_type(f"{one}-standard-8", None).startswith("pd-")]
+# What it refuses on each cloud, which the rows of fogspec/base/clouds.py say too.
+features, refused = ("AUTODOWN", "DOCKER_IMAGE", "OPEN_PORTS"), {}
+for name in sorted(registry.CLOUD_REGISTRY):
+    cloud = registry.CLOUD_REGISTRY.from_str(name)
+    asked = cloud._unsupported_features_for_resources(sky.Resources(cloud=cloud))
+    refused[name] = [one for one in features if getattr(clouds.CloudImplementationFeatures, one) in asked]
 missing = [name for name in names if not hasattr(exceptions, name)]
 print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY), "disks": disks, "plain": plain,
-                  "least_gib": least_gib, "default_gib": resources.DEFAULT_DISK_SIZE_GB}))  # fmt: skip
+                  "least_gib": least_gib, "refused": refused, "default_gib": resources.DEFAULT_DISK_SIZE_GB}))  # fmt: skip

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.clouds import CLOUDS, DISK_GIB
+from fogspec.base.clouds import CLOUDS, DISK_GIB, NO_END
 
 PYTHONS = [sys.executable, *filter(None, os.environ.get("FOGSPEC_SKYPILOT_PYTHONS", "").split(os.pathsep))]
 
@@ -72,6 +72,10 @@ def skypilot(forking: "subprocess.Popen[str]", tmp_path: Path) -> Callable[..., 
     return run
 
 
+def refusing(said: dict[str, dict[str, list[str]]], feature: str) -> set[str]:
+    return {name for name, refused in said["refused"].items() if feature in refused}
+
+
 @pytest.mark.parametrize("python", PYTHONS)
 def test_the_calls_and_exceptions_are_there(python: str, tmp_path: Path) -> None:
     if python == sys.executable and not importlib.util.find_spec("sky"):
@@ -88,6 +92,10 @@ def test_the_calls_and_exceptions_are_there(python: str, tmp_path: Path) -> None
     assert said["disks"] == ["gp3", 3500, 218, "pd-balanced", "Premium_LRS"]
     assert {*said["plain"]} == {"c4", "c4d", "c4a", "n4d", "n4a", "h4d", "m4", "x4"}, "it can start these now"
     assert all(re.match(CLOUDS["gcp"].unstartable or "", f"{one}-") for one in said["plain"])
+    rows = {name: CLOUDS[name] for name in said["refused"]}
+    assert {name for name, row in rows.items() if row.unstartable == NO_END} == refusing(said, "AUTODOWN")
+    assert {name for name, row in rows.items() if not row.containers} == refusing(said, "DOCKER_IMAGE")
+    assert {name for name, row in rows.items() if not row.opens_ports} - {"ssh"} == refusing(said, "OPEN_PORTS")
     assert said["least_gib"] + 64 <= DISK_GIB < said["default_gib"] == 256
 
 

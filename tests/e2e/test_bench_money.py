@@ -201,9 +201,7 @@ def test_after_a_change_one_sample_is_offered_with_its_price(paid):
     paid.write("specs/work.py", "print('other')\n")
     paid("compile", "specs/demo.yaml", *AT)
     body = read_document(paid.folder / "compiled/demo/plan.yaml", Plan).spec
-    at_most = {
-        one.machine.instance: dollars(body.commitment.usd(one.machine.paid_usd_per_hour)) for one in body.samples
-    }
+    at_most = {one.machine.instance: dollars(body.commitment.usd(one.machine)) for one in body.samples}
     for words, code in (((), 5), (("--dry-run",), 0)):
         said = bench(paid, *words, code=code)
         ((name, usd),) = set(re.findall(r"demo: (\S+) to measure once more: at most (\$[0-9.]+),", said.err))

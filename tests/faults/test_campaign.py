@@ -77,8 +77,9 @@ def test_a_machine_that_ended_by_itself_while_nobody_looked_is_not_billed_for_th
         one_bench(world, 0, 10.0, samples(1), lambda _: None)
     world.absent(60 * 3600)
     one_bench(world, world.controller, 10.0, samples(1), lambda _: None)
+    (one,) = samples(1)
     first, *_ = campaign.paid(world).values()
-    assert COMMITMENT.usd(0.1) <= first <= 1.2 * COMMITMENT.usd(0.1)
+    assert COMMITMENT.usd(one.machine) <= first <= 1.2 * COMMITMENT.usd(one.machine)
 
 
 def test_an_adaptive_campaign_killed_at_a_write_ends_as_if_nobody_had():

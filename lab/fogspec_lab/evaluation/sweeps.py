@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fogspec.base.errors import InvalidInput
-from fogspec.catalog.filters import filter_offers, matches_infra
+from fogspec.catalog.filters import matches_infra, offers_for
 from fogspec.catalog.instance_types import machines_of
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import About, Catalog, concatenated, of_machine
@@ -115,7 +115,7 @@ def _repeats(measured: Sequence[Sequence[float]]) -> Floats:
 
 def _admissible(application: Application, catalog: Catalog) -> Catalog:
     spec = application.spec
-    offers = filter_offers(catalog, spec.hardware, spec.infra).offers
+    offers = offers_for(catalog, spec).offers
     price = spec.constraints.price
     return offers if price is None else offers.take(offers.price_usd_per_hour <= price)
 

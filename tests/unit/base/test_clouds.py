@@ -5,6 +5,8 @@ import re
 import pytest
 
 from fogspec.base.clouds import CLOUDS, LOCAL, beside, cloud_name, cloud_of, split_infra
+from fogspec.catalog.machine import Machine
+from tests.support.catalogs import table
 
 
 def test_every_pattern_compiles_and_every_command_names_its_port() -> None:
@@ -76,3 +78,21 @@ def test_nothing_known_costs_less_than_the_dearest_of_what_is_known() -> None:
         "azure": (38.02 + 3.65) / 730,
     }
     assert max(known.values()) <= beside("vast/anywhere")[0] < 1.1 * max(known.values())
+
+
+@pytest.mark.parametrize(
+    ("instance", "usd_per_vcpu_hour"),
+    [("t3.large", 0.05), ("t3a.micro", 0.05), ("t4g.small", 0.04), ("t2.micro", 0.0), ("c7i-flex.large", 0.0)],
+)
+def test_the_cpu_credits_of_burstable_machines_are_paid_at_full_load(instance: str, usd_per_vcpu_hour: float) -> None:
+    """SkyPilot starts T3, T3a and T4g "unlimited"; a T2 is not, and flex types have no credits."""
+    one = Machine(infra="aws/us-east-1", instance=instance, cpus=2, memory=8.0, price=0.0832)
+    disk = beside(one.infra)[0]
+    assert one.paid_usd_per_hour == pytest.approx(0.0832 + disk + 2 * usd_per_vcpu_hour)
+    every = table(f"{instance},,,2,8,0.0832,,us-east-1,")
+    assert every.paid_usd_per_hour.tolist() == pytest.approx([one.paid_usd_per_hour])
+    assert (" and CPU credits at full load" in one.price_words) == (usd_per_vcpu_hour > 0)
+    assert (
+        Machine(infra="gcp/us-central1", instance=instance, cpus=2, memory=8.0, price=1.0).beside_what
+        == "disk and address"
+    )

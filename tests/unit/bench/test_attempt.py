@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import pytest
+
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.bench.attempt import NO_ACCESS_PATIENCE_S, STOP_PATIENCE_S, Attempt
@@ -164,8 +166,13 @@ def test_what_could_not_be_had_is_free_only_where_that_is_certain() -> None:
 
 
 def test_no_machine_costs_less_than_its_cloud_bills_at_least() -> None:
-    """AWS and Google Cloud bill a minute at least."""
+    """AWS and Google Cloud bill a minute at least, others each hour that begins."""
     assert made().billed_s(OVER, At(105.0)) == 60.0
     assert made(machines=2).billed_s(OVER, At(105.0)) == 120.0
     free = SampleStatus(running=False, reason="capacity", billed_s=0.0)
     assert made().billed_s(free, At(105.0)) == 0.0, "there was none"
+    hourly = made(machines=2)
+    elsewhere = SAMPLE.model_copy(update={"machine": MACHINE.model_copy(update={"infra": "paperspace/East"})})
+    hourly.started = replace(hourly.started, sample=elsewhere)
+    assert hourly.billed_s(OVER, At(105.0)) == 7200.0
+    assert hourly.started.commitment_usd == pytest.approx(3.6), "for a lifetime of 1,000 s"

@@ -4,9 +4,9 @@ import pytest
 
 from fogspec.base.errors import InvalidInput
 from fogspec.catalog.classes import accelerated, burstable, cpu_kind, left_out, platforms
-from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.filters import filter_offers, offers_for
 from fogspec.catalog.sources import load_catalog
-from fogspec.language.schema import Hardware
+from fogspec.language.schema import Hardware, Ros
 from fogspec.plan.design import design
 from tests.conftest import SHARED
 from tests.support.catalogs import application, table
@@ -132,6 +132,7 @@ def test_the_grid_on_skypilots_real_lists(infra: str, families: set[str]) -> Non
          ["c4-standard-4", "c4d-standard-8", "n4d-x-2", "c4a-highmem-1", "n4a-highmem-1", "t2a-standard-1"]),
         ("azure", ["Standard_D4s_v5", "Standard_E4as_v5"], ["Standard_D2s_v6", "Standard_E4ds_v7", "Standard_D4ps_v5"]),
         ("aws", ["c7i.large", "c6i.metal"], []),
+        ("verda", [], ["1V100.6V", "CPU.4V.16G"]),  # where SkyPilot's machines cannot end themselves
     ],
 )  # fmt: skip
 def test_what_skypilot_cannot_start_is_no_candidate_whatever_the_spec_names(
@@ -152,3 +153,21 @@ def test_what_skypilot_cannot_start_is_no_candidate_whatever_the_spec_names(
 def test_machines_that_skypilot_cannot_start_make_no_other_outdated() -> None:
     rows = [f"{family}-standard-4,,,2,8,0.1,,r1," for family in ("c2", "c3", "c4", "c4d")]
     assert names(*rows, infra="gcp", cloud="gcp") == ["c2-standard-4", "c3-standard-4"]
+
+
+@pytest.mark.parametrize(("cloud", "left"), [("oci", 0), ("cudo", 0), ("aws", 2), ("slurm", 2), ("our-rack", 2)])
+def test_where_skypilot_starts_no_images_there_is_no_machine_for_one(cloud: str, left: int) -> None:
+    """On a Slurm cluster the image is left out, and `compile` says so."""
+    offers = table("a,,,2,8,0.1,,r1,", "b,,,4,16,0.2,,r1,", cloud=cloud)
+    spec = application({}, [cloud], machines=["a"]).spec
+    assert len(offers_for(offers, spec).offers) == 2
+    spec = spec.model_copy(update={"ros": Ros(distro="humble", image="docker.io/library/ros:humble")})
+    found = offers_for(offers, spec)
+    assert len(found.offers) == left
+    said = "left out: 2 offers where SkyPilot starts no container images"
+    assert found.left_out_line() == (None if left else said)
+    if left:
+        assert [one.machine.instance for one in design(spec, offers, found).samples] == ["a"]
+    else:
+        with pytest.raises(InvalidInput, match="starts no container images where 'a' is"):
+            design(spec, offers, found)

@@ -1,5 +1,6 @@
 """What a sample is paid for at most, by hand: its times, their sum, and what becomes of a machine that nobody ends."""
 
+import math
 from fractions import Fraction
 
 import pytest
@@ -27,7 +28,23 @@ def test_times_by_hand(measuring_s: float, setup_s: float, lifetime_s: float, pa
     each = Commitment(measuring_s=measuring_s, setup_s=setup_s)
     assert (each.lifetime_s, each.machine_s, each.paid_s) == (lifetime_s, lifetime_s + 300, paid_s)
     assert each.machine_s - 120 == each.deadline_s >= measuring_s + setup_s + 300
-    assert each.usd(3.6) == pytest.approx(paid_s / 1000)
+    assert each.usd(machine("our-rack/r1", 3.6)) == pytest.approx(paid_s / 1000)
+
+
+def test_a_sample_costs_what_its_cloud_bills() -> None:
+    """28 minutes: by the second, by the minute, and for each hour that begins where that is known or is not."""
+    each, at = Commitment(measuring_s=301, setup_s=600), (0.0, 60.0, 3600.0, 3600.0)
+    places = ("our-rack/r1", "lambda/us-east-1", "paperspace/East", "cudo/us")
+    machines = [machine(infra, 3.6) for infra in places]
+    paid = [one.paid_usd_per_hour for one in machines]
+    assert each.paid_s == 1680
+    assert [each.usd(one) / usd * 3600 for one, usd in zip(machines, paid, strict=True)] == pytest.approx(
+        [math.ceil(1680 / step_s) * step_s if step_s else 1680 for step_s in at]
+    )
+    assert [one.price_words.partition(", and")[0] for one in machines] == [
+        "$3.60/h", "$3.60/h", "$3.60/h for each hour that begins",
+        "$3.60/h for each hour that begins, which is assumed,",
+    ]  # fmt: skip
 
 
 @given(st.integers(0, 10**5), st.integers(1, 10**5))

@@ -111,7 +111,6 @@ def test_what_a_sample_may_cost_covers_the_time_before_and_after_its_lifetime() 
     each = Commitment(measuring_s=300, setup_s=300)
     assert each.machine_s == PROVISIONING_S + each.lifetime_s
     assert each.paid_s == each.machine_s + TEARDOWN_S
-    assert each.usd(3.6) == pytest.approx(0.001 * each.paid_s)
     assert each.deadline_s + PATIENCE_S + TEARDOWN_S <= each.paid_s, "a controller that can act stops it in time"
 
 
