@@ -18,6 +18,11 @@ RESTARTED = "FOGSPEC_LOOKED_FOR_RCLPY"
 DOMAINS = range(1, 102)  # those whose ports are below Linux's ephemeral ones
 FIRST_PORT, PORTS_A_DOMAIN, FIRST_UNICAST = 7400, 250, 10  # RTPS 2.5, 9.6.2.3: what discovery listens on
 PARTICIPANTS = 10
+# On an interface without multicast, which loopback is, CycloneDDS finds a port for ten processes at most, if nothing is said.
+CYCLONE = (
+    "<CycloneDDS><Domain><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<MaxAutoParticipantIndex>119</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
+)
 RELIABLE = 1  # of rmw_qos_reliability_policy_t
 
 
@@ -44,7 +49,7 @@ def alone(environment: Mapping[str, str]) -> dict[str, str]:
     """
     humble = environment.get("ROS_DISTRO") == "humble"
     local = {"ROS_LOCALHOST_ONLY": "1"} if humble else {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    return {"ROS_DOMAIN_ID": str(_unused_domain()), **local, **environment}
+    return {"ROS_DOMAIN_ID": str(_unused_domain()), "CYCLONEDDS_URI": CYCLONE, **local, **environment}
 
 
 def _unused_domain() -> int:

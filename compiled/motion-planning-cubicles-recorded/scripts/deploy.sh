@@ -5,11 +5,13 @@ set -u
 if [ -n "${SKYPILOT_TASK_ID:-}" ]; then
   # What the machine's job runner sets would make every OpenMP node look single-core, and mislead Python.
   unset OMP_NUM_THREADS VIRTUAL_ENV CONDA_PREFIX CONDA_DEFAULT_ENV CONDA_PYTHON_EXE PYTHONPATH
-  # Its own Python, first in PATH on some images, does not see what the set-up installed for that of the system.
+  own=
+  # Its own Python, first in PATH on some machines, does not see what the set-up installed for that of the system.
   IFS=: read -r -a places <<<"$PATH"
   path=
   for place in "${places[@]}"; do
-    case $place/ in */miniconda3/*|*/skypilot-runtime/*) ;; *) path=${path:+$path:}$place ;; esac
+    case :$own: in *":$place:"*) ;; *) case $place/ in */miniconda3/*|*/skypilot-runtime/*) continue ;; esac ;; esac
+    path=${path:+$path:}$place
   done
   PATH=$path
 fi

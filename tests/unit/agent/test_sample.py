@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -56,6 +57,7 @@ def test_stops_by_steps_warm_up_not_counted(tmp_path):
             {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
             {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
         ),
+        ({"ROS_DISTRO": "humble", "CYCLONEDDS_URI": "file:///mine.xml"}, {"ROS_LOCALHOST_ONLY": "1"}),
     ],
 )
 def test_a_sample_has_a_ros_graph_of_its_own_unless_it_is_said(tmp_path, given, expected):
@@ -64,8 +66,12 @@ def test_a_sample_has_a_ros_graph_of_its_own_unless_it_is_said(tmp_path, given, 
     found = json.loads((tmp_path / "environment").read_text())
     assert 1 <= int(found.pop("ROS_DOMAIN_ID")) <= 101
     assert {name: found[name] for name in found if name.startswith("ROS_")} == {
-        name: value for name, value in {**given, **expected}.items() if name != "ROS_DOMAIN_ID"
+        name: value
+        for name, value in {**given, **expected}.items()
+        if name.startswith("ROS_") and name != "ROS_DOMAIN_ID"
     }
+    assert found["CYCLONEDDS_URI"] == given.get("CYCLONEDDS_URI", ros.CYCLONE)
+    assert [one.text for one in ElementTree.fromstring(ros.CYCLONE).iter() if one.text] == ["auto", "119"]
 
 
 def test_a_domain_in_which_somebody_listens_is_used():

@@ -1,6 +1,7 @@
 """Compiled tasks: what is in them, and that everything in them is quoted for its language."""
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -263,22 +264,45 @@ def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
         ]  # fmt: skip
 
 
-@pytest.mark.parametrize("image", [None, "docker.io/library/ros:jazzy"])
-def test_python_is_that_of_the_set_up_and_not_the_job_runners(tmp_path: Path, image: str | None) -> None:
-    """SkyPilot's machines have Miniconda's first in PATH; what an image has there is the image's."""
-    for name in ("miniconda3/bin", "skypilot-runtime/bin", "mine/bin"):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "python3").write_text(f"#!/bin/sh\necho {name}\n")
-        (tmp_path / name / "python3").chmod(0o755)
-    script = rendered_sample(application(ros={"image": image}))
-    script = script.replace("/opt/ros/jazzy/setup.bash", "/dev/null")
-    places = ["miniconda3/bin", "skypilot-runtime/bin", "miniconda3/condabin", "mine/bin"]
-    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, timeout=600, env={
-        "PATH": ":".join([*(f"{tmp_path}/{one}" for one in places), "/usr/bin", "/bin"]), "HOME": str(tmp_path),
+def pythons(folder: Path, *places: str) -> str:
+    """Make a python3 in each place that says where it is and what it is given, and return them as a PATH."""
+    for place in places:
+        (folder / place).mkdir(parents=True, exist_ok=True)
+        (folder / place / "python3").write_text(f"#!/bin/sh\necho {place} $OMP_NUM_THREADS $PYTHONPATH $VIRTUAL_ENV\n")
+        (folder / place / "python3").chmod(0o755)
+    return ":".join([*(f"{folder}/{one}" for one in places), "/usr/bin", "/bin"])
+
+
+RUNNERS = ("skypilot-runtime/bin", "miniconda3/condabin", "miniconda3/bin", "mine/bin")  # SkyPilot's are first in PATH
+
+
+def test_python_is_that_of_the_set_up_and_not_the_job_runners(tmp_path: Path) -> None:
+    script = rendered_sample(application(ros={})).replace("/opt/ros/jazzy/setup.bash", "/dev/null")
+    given = {
+        "PATH": pythons(tmp_path, *RUNNERS),
+        "HOME": str(tmp_path),
         "SKYPILOT_TASK_ID": "x",
-    })  # fmt: skip
-    said = run.stdout.splitlines()
-    assert ("mine/bin" in said, "miniconda3/bin" in said) == (image is None, image is not None), run.stderr
+        "OMP_NUM_THREADS": "1",
+    }
+    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, timeout=600, env=given)
+    assert "mine/bin" in run.stdout.splitlines(), run.stderr
+
+
+@pytest.mark.parametrize("own", ["miniconda3/bin", "mine/bin"])
+def test_in_a_container_the_environment_is_the_images(tmp_path: Path, own: str) -> None:
+    """It may have a Miniconda of its own. SkyPilot sets one thread, and what an image sets only its first process has."""
+    apart = ["unshare", "--map-root-user", "--pid", "--fork", "--mount-proc"]
+    if not shutil.which("unshare") or subprocess.run([*apart, "true"], capture_output=True).returncode:
+        pytest.skip("needs namespaces of an ordinary user")
+    script = rendered_sample(application(ros={"image": "docker.io/library/ros:jazzy"}))
+    script = script.replace("/opt/ros/jazzy/setup.bash", "/dev/null")
+    image = {"PATH": pythons(tmp_path, own), "OMP_NUM_THREADS": "4", "PYTHONPATH": "/image/lib", "VIRTUAL_ENV": "/image",
+             "HOME": str(tmp_path)}  # fmt: skip
+    job = [f"PATH={pythons(tmp_path, *RUNNERS)}", "SKYPILOT_TASK_ID=x", "OMP_NUM_THREADS=1", "PYTHONPATH=/skypilot"]
+    first = 'env "$@" & wait $!'  # the first process, which the job's is not
+    words = [*apart, "bash", "-c", first, "bash", "-u", "VIRTUAL_ENV", *job, "bash", "-c", script]
+    run = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=600, env=image)
+    assert f"{own} 4 /image/lib /image" in run.stdout.splitlines(), run.stdout + run.stderr
 
 
 HOSTILE = """import os, sys
