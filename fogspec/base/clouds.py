@@ -37,8 +37,9 @@ class Cloud:
     `on_skypilot` is False for this host alone. A cloud that is not `priced` needs no price list, and may have one; one
     without `instance_types` takes the shape of a machine, and the catalog may name it anything. Without
     `containers` SkyPilot starts no images there. A batch system has no spot machines. A cloud that `opens_ports` does so for
-    SkyPilot; `open_udp` is a command of the cloud's own program that opens a UDP
-    port of the machine at an address; `quota` one that lists the account's quotas in a region.
+    SkyPilot; one that `maps_ports` has them at another address, and often under another number; `open_udp` is a command of the
+    cloud's own program that opens a UDP port of the machine at an address; `quota` one that lists the account's quotas in a
+    region.
     `places_in_zones`: a zone (a partition) has machines and prices of its own.
     `context_regions`: the region is the name of a context, which may have slashes. `attaches_gpus`: one instance type
     may carry one of several accelerators. `own_end`: see `OwnEnd`. `limits_pods`: SkyPilot limits a pod to what it requests if
@@ -66,6 +67,7 @@ class Cloud:
     instance_types: bool = True
     containers: bool = True
     opens_ports: bool = True
+    maps_ports: bool = False
     places_in_zones: bool = False
     context_regions: bool = False
     attaches_gpus: bool = False
@@ -216,18 +218,19 @@ _ROWS = (
     Cloud(name="oci", containers=False, least_s=60.0, step_s=0.0),
     Cloud(name="ibm", containers=False, opens_ports=False),
     Cloud(name="lambda", step_s=60.0, beside_usd_per_hour=0.0, arm=r".*(gh200|gb\d00)"),
-    Cloud(name="runpod", step_s=0.0, ubuntu="jammy"),
+    Cloud(name="runpod", step_s=0.0, maps_ports=True, ubuntu="jammy"),
     Cloud(name="nebius", ubuntu="noble"),
     Cloud(name="cudo", containers=False),
     Cloud(name="paperspace", step_s=3600.0),
     Cloud(name="do", least_s=60.0, step_s=0.0),
     Cloud(name="fluidstack", ubuntu="jammy"),
-    Cloud(name="vast", step_s=0.0),
+    Cloud(name="vast", step_s=0.0, maps_ports=True),
     Cloud(name="vsphere", containers=False, opens_ports=False, step_s=0.0, beside_usd_per_hour=0.0),
     Cloud(name="scp", containers=False),
     Cloud(
         name="kubernetes",
         step_s=0.0,
+        maps_ports=True,
         priced=False,
         instance_types=False,
         context_regions=True,
@@ -256,7 +259,7 @@ _ROWS = (
         step_s=0.0,
         priced=False,
         instance_types=False,
-        opens_ports=False,
+        maps_ports=True,
         own_end=OwnEnd.POD_DEADLINE,
         ubuntu="jammy",
         beside_usd_per_hour=0.0,

@@ -139,9 +139,7 @@ def deploy_task(application: Application, machine: Machine, work: Work) -> dict[
     settings = engine_settings(machine, None)
     if settings is not None:
         task["config"] = settings
-    cloud = cloud_of(machine.infra)
-    opens = cloud.opens_ports or cloud.own_end is OwnEnd.POD_DEADLINE
-    if LINK_FOLDER in work.mounts and link_of(application).protocol == "tcp" and opens:
+    if LINK_FOLDER in work.mounts and link_of(application).protocol == "tcp" and cloud_of(machine.infra).opens_ports:
         task["resources"]["ports"] = [port_of(application)]
     return {**task, "envs": dict(work.envs)} if work.envs else task
 

@@ -46,7 +46,10 @@ class WireGuard:
             f"AllowedIPs = {there}/32",
             *([] if side == "cloud" else [f"Endpoint = @CLOUD_ADDRESS@:{port}", "PersistentKeepalive = 25"]),
         ]
-        environment = {"ROS_STATIC_PEERS": str(there), "FASTRTPS_DEFAULT_PROFILES_FILE": f"@LINK@/{side}.fastdds.xml"}
+        profiles = f"@LINK@/{side}.fastdds.xml"
+        # Its first name is that of Humble and Jazzy, and deprecated since.
+        environment = {"ROS_STATIC_PEERS": str(there), "FASTRTPS_DEFAULT_PROFILES_FILE": profiles}
+        environment["FASTDDS_DEFAULT_PROFILES_FILE"] = profiles
         if side == "cloud":
             environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         only = ["127.0.0.1", str(here)] if side == "cloud" else []

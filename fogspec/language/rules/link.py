@@ -15,11 +15,19 @@ LINK: Path = ("spec", "connectivity", "link")
 
 
 def what_a_link_needs(application: Application) -> Iterator[Finding]:
-    """Require a ROS 2 environment that the link works with."""
+    """Require a ROS 2 environment that the link works with, and machines that it reaches."""
     spec, ros = application.spec, ("spec", "ros")
     if spec.connectivity.link == "zenoh" and spec.ros is None:
         message = "spec.connectivity.link zenoh joins ROS 2 graphs, and spec.ros is missing"
         yield Finding("FS541", LINK, message, f"add '{ros_block(spec.infra)}', or write wireguard", (ros,))
+    mapped = next((index for index, entry in enumerate(spec.infra) if cloud_of(entry).maps_ports), None)
+    if spec.connectivity.link == "zenoh" and mapped is not None:
+        where = spec.infra[mapped]
+        message = (
+            f"spec.connectivity.link zenoh reaches a machine at its own address, which is not that of one in {where}"
+        )
+        fix = f"take {where} out of spec.infra, or write none and join them by a network of your own"
+        yield Finding("FS541", ("spec", "infra", mapped), message, fix, (LINK,))
     if spec.connectivity.link != "wireguard" or spec.ros is None:
         return
     if spec.ros.distro == "humble":

@@ -16,12 +16,18 @@ spec:
 {more}
 """
 ROS = "  ros: { distro: humble }"
+ZENOH = f"  connectivity: {{ link: zenoh, expose: {{/tf: topic}} }}\n{ROS}"
 
 
 def said(
-    cloud: str = "{ cmd: [plan] }", probe: str = "{ callback: plan }", benchmark: str = "{ budget: $1 }", more: str = ""
+    cloud: str = "{ cmd: [plan] }",
+    probe: str = "{ callback: plan }",
+    benchmark: str = "{ budget: $1 }",
+    more: str = "",
+    infra: str = "[aws]",
 ) -> list[tuple[str, str | None]]:
     content = BASE.format(cloud=cloud, probe=probe, benchmark=benchmark, more=more)
+    content = content.replace("infra: [aws]", f"infra: {infra}")
     return [(one.code, one.fix) for one in check_text(content.encode(), "spec.yaml")[1]]
 
 
@@ -97,6 +103,9 @@ def said(
         ({"more": "  hardware: { cpus: ..2, memory: 64GiB.., memory_per_cpu: ..8GiB }"}, ["FS535"]),
         ({"more": "  connectivity: { link: zenoh }"}, ["FS541", "FS543"]),
         ({"more": "  connectivity: { link: wireguard, expose: {/tf: topic} }"}, ["FS544"]),
+        ({"infra": "[aws, runpod]", "more": ZENOH}, ["FS541"]),
+        ({"infra": "[kubernetes/ours]", "more": ZENOH}, ["FS541"]),
+        ({"infra": "[aws, gcp]", "more": ZENOH}, []),
     ],
 )
 def test_rules(change: dict[str, str], codes: list[str]) -> None:
