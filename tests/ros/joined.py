@@ -41,6 +41,15 @@ table inet fogspec {{
 """
 
 
+# As Ubuntu's AppArmor does since 25.04: wg and wg-quick read one folder and pipes, and what they write to a file is lost.
+CONFINED = """\
+#!/bin/bash
+for one in "$@" "$(readlink "/proc/$$/fd/0")"; do
+  case $one in /etc/wireguard/* | /dev/* | pipe:* | socket:*) ;; */*) echo "$0: $one: Permission denied" >&2; exit 1 ;; esac
+done
+case $(readlink "/proc/$$/fd/1") in /dev/* | pipe:* | socket:*) ;; *) exec >/dev/null ;; esac
+exec {program} "$@"
+"""
 _numbers = itertools.count()
 
 
@@ -67,11 +76,24 @@ def missing(link: str) -> str | None:
     return f"needs {', '.join(lacking)}: apt-get install openssl nftables wireguard-go wireguard-tools"
 
 
+def _confined(folder: Path) -> str:
+    """Return the PATH with a wg and a wg-quick that are confined, also where the latter calls the former."""
+    inner = folder / "inner"
+    inner.mkdir(parents=True)
+    wg, quick = CONFINED.format(program=shutil.which("wg")), CONFINED.format(program=inner / "wg-quick")
+    for path, text in ((folder / "wg", wg), (folder / "wg-quick", quick), (inner / "wg", wg)):
+        path.write_text(text)
+        path.chmod(0o755)
+    shutil.copy(str(shutil.which("wg-quick")), inner)  # it puts its own folder first in PATH
+    return os.pathsep.join([str(folder), os.environ["PATH"]])
+
+
 class Joined:
     """Both ends of one application's link."""
 
     def __init__(self, app: Application, nets: dict[str, Net], folder: Path) -> None:
         self.app, self.nets, self.folder = app, nets, folder
+        self.path = _confined(folder / "confined") if link_of(app).name == "wireguard" else os.environ["PATH"]
         self.layout = Layout.of(folder / "specs" / "x.yaml", app.metadata.name)
         for path, content in launch_files(app, self.layout).items():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -102,7 +124,7 @@ class Joined:
     ) -> subprocess.CompletedProcess[str]:
         """One verb of the link's script at one end, to its end."""
         net = self.nets[side]
-        links = net.environment(FOGSPEC_LINKS=str(self.folder / (home or side)))
+        links = net.environment(FOGSPEC_LINKS=str(self.folder / (home or side)), PATH=self.path)
         words = net.command(self.words(side, verb, *more))
         return subprocess.run(words, input=said, text=True, capture_output=True, timeout=600, env=links)
 
@@ -126,7 +148,9 @@ class Joined:
         begun = self.script(side, "start", home=home)
         assert begun.returncode == 0, begun.stderr
         links = str(self.folder / (home or side))
-        return self.nets[side].start(f"link-{home or side}", self.words(side, "up"), FOGSPEC_LINKS=links)
+        return self.nets[side].start(
+            f"link-{home or side}", self.words(side, "up"), FOGSPEC_LINKS=links, PATH=self.path
+        )
 
     def environment(self, side: str) -> dict[str, str]:
         """What the nodes at one end see."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from fogspec.compile.links.wireguard import interface
 from tests.ros.joined import ADDRESS, OTHER, Joined, joined, missing, until
 from tests.ros.namespaces import PYTHON
 
@@ -86,3 +87,4 @@ def test_ending_the_link_leaves_no_interface(tmp_path: Path) -> None:
         assert "fogc-" in both.nets["cloud"].run(links, 10).stdout
         up.stop()
         assert "fogc-" not in both.nets["cloud"].run(links, 10).stdout
+        assert not list(Path("/etc/wireguard").glob(f"{interface(both.app.metadata.name, 'cloud')}*"))

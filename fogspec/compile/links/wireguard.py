@@ -38,8 +38,8 @@ class WireGuard:
             "[Interface]",
             f"Address = {here}/32",
             *([f"ListenPort = {port}"] if side == "cloud" else []),
-            # The key stays in its file: no configuration contains it.
-            'PostUp = wg set %i private-key "@KEYS@/private.key"',
+            # The key is in a file of its own: no configuration contains it.
+            "PostUp = wg set %i private-key /etc/wireguard/%i.key",
             "",
             "[Peer]",
             "PublicKey = @PEER@",
