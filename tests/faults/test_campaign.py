@@ -94,12 +94,11 @@ def test_an_adaptive_campaign_killed_at_a_write_ends_as_if_nobody_had():
 def test_a_wall_that_has_come_nearer_stops_the_dearest_machines(tmp_path):
     """Four machines run, the bench is killed, and the next one may spend less than they could cost."""
     world = World(0, tmp_path, faults=False, kills={26})
-    usd = COMMITMENT.usd
     wanted = samples(4)
     with pytest.raises(Killed):
         one_bench(world, 0, 10.0, wanted, lambda _: None)
     assert sum(machine.up(world.now) for machine in world.machines.values()) == 4
-    most = world.bill + usd(0.1) + usd(0.2)
+    most = world.bill + sum(COMMITMENT.usd(one.machine) for one in wanted[:2])
     one_bench(world, 1, most, wanted, lambda _: None)
     records = world.disk["samples"]
     assert [records[one.id].reason for one in wanted] == [None, None, "budget", "budget"]
