@@ -10,7 +10,7 @@
 #   link.sh SIDE up                 run the link until told to end
 #   link.sh SIDE check              whether the other end answers
 #   link.sh SIDE leave              forget the other end
-# Private keys are made where they are used and never leave their folder.
+# Private keys are made where they are used and never leave that computer.
 set -euo pipefail
 name=motion-planning-apartment-recorded
 side=${1:?which side: robot or cloud}

@@ -23,9 +23,7 @@ def what_a_link_needs(application: Application) -> Iterator[Finding]:
     mapped = next((index for index, entry in enumerate(spec.infra) if cloud_of(entry).maps_ports), None)
     if spec.connectivity.link == "zenoh" and mapped is not None:
         where = spec.infra[mapped]
-        message = (
-            f"spec.connectivity.link zenoh reaches a machine at its own address, which is not that of one in {where}"
-        )
+        message = f"spec.connectivity.link zenoh needs a port at a machine's own address; in {where} it is at another"
         fix = f"take {where} out of spec.infra, or write none and join them by a network of your own"
         yield Finding("FS541", ("spec", "infra", mapped), message, fix, (LINK,))
     if spec.connectivity.link != "wireguard" or spec.ros is None:
