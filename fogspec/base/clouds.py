@@ -46,7 +46,8 @@ class Cloud:
     a task says so; otherwise the pod uses what its node has to spare. A new machine may be missing in the cloud's lists for
     `visible_s` seconds. A cloud that `lists_ended` machines does so long enough to tell whether there was one. A machine is
     billed for `least_s` seconds at least, and for each `step_s` that begins (0: by the second; None: not known). Without an
-    image, machines there have the `ubuntu` of this code name.
+    image, machines there have the `ubuntu` of this code name. `user_variable` tells SkyPilot an image's user where it logs in
+    to the container itself, by default as root.
 
     With a machine come a disk of `disk_gib`, of SkyPilot's own size if that is None, and a public address. Both are paid beside
     its price: `beside_usd_per_hour` (None: not known) in the regions that match `beside_in`; what others cost is assumed.
@@ -93,6 +94,7 @@ class Cloud:
     previous: str | None = None
     platform: str | None = None
     unstartable: str | None = None
+    user_variable: str | None = None
 
     def beside(self, region: str) -> tuple[float, bool]:
         """Return what a machine's disk and address cost beside the machine, in USD per hour, and whether that is assumed."""
@@ -218,7 +220,7 @@ _ROWS = (
     Cloud(name="oci", containers=False, least_s=60.0, step_s=0.0),
     Cloud(name="ibm", containers=False, opens_ports=False),
     Cloud(name="lambda", step_s=60.0, beside_usd_per_hour=0.0, arm=r".*(gh200|gb\d00)"),
-    Cloud(name="runpod", step_s=0.0, maps_ports=True, ubuntu="jammy"),
+    Cloud(name="runpod", step_s=0.0, maps_ports=True, ubuntu="jammy", user_variable="SKYPILOT_RUNPOD_DOCKER_USERNAME"),
     Cloud(name="nebius", ubuntu="noble"),
     Cloud(name="cudo", containers=False),
     Cloud(name="paperspace", step_s=3600.0),

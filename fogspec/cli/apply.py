@@ -102,7 +102,7 @@ def command(
         return
 
     def approve() -> None:
-        check_image(ordered.image, opened.loaded.application.spec)
+        check_image(ordered.image, opened.loaded.application.spec, measures=False)
         _ask(yes)
 
     done = apply(ordered, deployment_backend, times, say_on, approve, lambda live: applied(opened, live, older))

@@ -250,7 +250,7 @@ def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
         check_set(prepared.application.spec.secrets if prepared.todo else ())
     if backend.costs == "real" and prepared.todo:
         exact = pinned(prepared.application, read_pins(prepared.layout))
-        check_image(image_named(exact), prepared.application.spec)
+        check_image(image_named(exact), prepared.application.spec, measures=True)
 
 
 def _catalogs(

@@ -268,19 +268,19 @@ def unmet(
     return any(one.state is State.PROBLEM for one in found)
 
 
-def check_image(image: str | None, spec: "Spec") -> None:
-    """Raise InvalidInput if the registry of a pinned image does not have it, or not for the CPUs or the login of the machines.
+def check_image(image: str | None, spec: "Spec", measures: bool) -> None:
+    """Raise InvalidInput if the registry of a pinned image does not have it, or machines that measure, or serve, cannot use it.
 
     If the registry does not tell, the machines will.
     """
     from fogspec.backends.images.registry import NotShown, Registry
     from fogspec.base.errors import CloudError
-    from fogspec.compile.tasks import login_of_machines
+    from fogspec.compile.tasks import image_use
     from fogspec.language.lockfile import is_pinned
 
     if image is None or not is_pinned(image):
         return
     try:
-        Registry().check(image, spec.hardware.arch, login_of_machines(spec))
+        Registry().check(image, image_use(spec, measures))
     except (NotShown, CloudError) as unknown:
         note(f"image not checked: {unknown.message}")

@@ -25,7 +25,7 @@ from fogspec.compile.launch_source import node_launch
 from fogspec.compile.links import link_of, port_of
 from fogspec.language import warned as codes
 from fogspec.language.launch_text import has_substitution, needs_launch
-from fogspec.language.lockfile import registry_login
+from fogspec.language.lockfile import ImageUse, registry_login
 from fogspec.language.named_files import measurement_sends_files
 from fogspec.language.probe import holds, module, optional, player, probe_parts
 from fogspec.language.schema import UBUNTU, Application, ComposableNode, Node, Spec
@@ -205,11 +205,22 @@ def left_out(spec: Spec, machine: Machine) -> list[Warned]:
     return found
 
 
-def login_of_machines(spec: Spec) -> list[str]:
-    """Return the secrets with which machines pull the image; none where no place has machines that log in to a registry."""
-    clouds = [cloud_of(place) for place in spec.infra]
-    log_in = [one for one in clouds if one.on_skypilot and one.containers and one.own_end is not OwnEnd.POD_DEADLINE]
-    return registry_login(spec) if log_in else []
+def image_use(spec: Spec, measures: bool) -> ImageUse:
+    """Return what machines that measure, or serve, need of their image.
+
+    Secrets are those with which they pull it; none where no place has machines that log in to a registry.
+    """
+    clouds = [one for one in map(cloud_of, spec.infra) if one.on_skypilot and one.containers]
+    log_in = [one for one in clouds if one.own_end is not OwnEnd.POD_DEADLINE]
+    variable = next((one.user_variable for one in clouds if one.user_variable), None)
+    part = "benchmark" if measures else "deployment"
+    return ImageUse(
+        architectures=spec.hardware.arch,
+        secrets=[*(registry_login(spec) if log_in else []), *(one for one in spec.secrets if one == variable)],
+        user_variable=variable,
+        timeout=f"spec.{part}.ready_timeout",
+        timeout_s=getattr(spec, part).ready_timeout if clouds else math.inf,
+    )
 
 
 def measured_processes(spec: Spec) -> list[list[str] | dict[str, Any]]:

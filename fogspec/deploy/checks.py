@@ -29,12 +29,12 @@ from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
 from fogspec.compile.inputs import Inputs, age_warning, catalogs_for, unpriced
 from fogspec.compile.links import link_of
-from fogspec.compile.tasks import login_of_machines
+from fogspec.compile.tasks import image_use
 from fogspec.deploy import link
 from fogspec.deploy.state import DeploymentState, WallClock
 from fogspec.language.loader import LoadedSpec, SourceFile
 from fogspec.language.lock_io import files_sent, read_pins
-from fogspec.language.lockfile import image_named, is_pinned, pinned
+from fogspec.language.lockfile import ImageUse, image_named, is_pinned, pinned
 from fogspec.language.rules.benchmark import PLACEHOLDERS
 from fogspec.results.schema import Results
 
@@ -43,7 +43,7 @@ SPARE_BYTES = 256 << 20  # for results, logs and state, besides the copy of the 
 TOOLS = ("ssh", "rsync")  # by which SkyPilot's API server reaches machines
 
 Backends = Callable[[str], DeploymentBackend]
-Images = Callable[[str, Sequence[str], Sequence[str]], None]
+Images = Callable[[str, ImageUse], None]
 
 
 class Stage(StrEnum):
@@ -200,10 +200,8 @@ def _inputs(
         yield Check(name, "lock", State.OK, f"{layout.lock} holds")
     exact = pinned(one.application, pins)
     if (image := image_named(exact)) is not None:
-        spec = one.application.spec
-        yield _image(
-            name, image, stage, again, partial(check_image, image, spec.hardware.arch, login_of_machines(spec))
-        )
+        use = image_use(one.application.spec, measures=stage is Stage.BENCH)
+        yield _image(name, image, stage, again, partial(check_image, image, use))
     yield _disk(layout, sent)
 
 
@@ -229,7 +227,7 @@ def _image(name: str, image: str, stage: Stage, again: str, check: Callable[[], 
     except InvalidInput as wrong:
         upgrade = f"push it, or lock what its tag names now: {again} --upgrade all"
         return Check(name, "image", State.PROBLEM, wrong.message, wrong.hints or (upgrade,))
-    return Check(name, "image", State.OK, f"{image} is in its registry, for the CPUs of spec.hardware.arch")
+    return Check(name, "image", State.OK, f"{image} is in its registry, and fits the machines")
 
 
 def _disk(layout: Layout, sent: Collection[str]) -> Check:

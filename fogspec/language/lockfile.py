@@ -1,5 +1,6 @@
 """The lock: what a spec names that may change behind its name, pinned to digests, so that a compile is pure."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator
 
 from fogspec.base import digest
+from fogspec.base.clouds import CLOUDS
 from fogspec.base.quantities import Strict
 from fogspec.language.named_files import sends_files
 from fogspec.language.schema import Application, Spec
@@ -39,7 +41,9 @@ IGNORED_AT_ROOT = ("/compiled", "/results")
 BUILT = ("build", "install", "log")  # colcon makes them again in a workspace on the machine
 # A login to a private registry, under SkyPilot's names (docs.skypilot.co, "Using Private Docker Registries").
 REGISTRY_LOGIN = ("SKYPILOT_DOCKER_USERNAME", "SKYPILOT_DOCKER_PASSWORD", "SKYPILOT_DOCKER_SERVER")
-PUBLIC_LOGIN = frozenset({"SKYPILOT_DOCKER_USERNAME", "SKYPILOT_DOCKER_SERVER"})  # a person has to read these
+USER_VARIABLES = frozenset(row.user_variable for row in CLOUDS.values() if row.user_variable)
+# A person has to read these.
+PUBLIC_LOGIN = frozenset({"SKYPILOT_DOCKER_USERNAME", "SKYPILOT_DOCKER_SERVER", *USER_VARIABLES})
 PART = r"[a-z0-9]+(?:(?:\.|_{1,2}|-+)[a-z0-9]+)*"  # of a repository's name: OCI Distribution Specification 1.1
 
 
@@ -95,6 +99,22 @@ class Image:
     repository: str
     tag: str
     digest: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageUse:
+    """What machines need of an image.
+
+    Their CPUs are named as in spec.hardware.arch. `secrets` are those of the spec that tell how to log in, to the registry or
+    to the container, whose user has to be root, or in `user_variable`, where that is one. The field `timeout` bounds the time
+    until the nodes are ready, of which pulling the image is a part.
+    """
+
+    architectures: Sequence[str]
+    secrets: Sequence[str] = ()
+    user_variable: str | None = None
+    timeout: str = ""
+    timeout_s: float = math.inf
 
 
 def image_of(text: str) -> Image:

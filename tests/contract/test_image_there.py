@@ -6,11 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from sky.skylet import constants
 
 from fogspec.backends import registry as backends
 from fogspec.backends.images.registry import Registry
 from fogspec.backends.skypilot import backend
-from fogspec.language.lockfile import REGISTRY_LOGIN
+from fogspec.base.clouds import CLOUDS
+from fogspec.language.lockfile import REGISTRY_LOGIN, ImageUse
 from tests.contract.test_registry import MANIFEST, free_port, private, project, push, registry, send  # noqa: F401
 from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.registries import PASSWORD, USER
@@ -30,9 +32,9 @@ def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cloud]:
         made.end(name)
 
 
-def push_for(registry: str, name: str, *architectures: str) -> str:
+def push_for(registry: str, name: str, *architectures: str, compressed_bytes: int | None = None) -> str:
     """Push an image for one CPU, or an index of several; return its name by digest."""
-    found = [_push_one(registry, name, one) for one in architectures]
+    found = [_push_one(registry, name, one, compressed_bytes) for one in architectures]
     content, kind = found[0][0], MANIFEST
     if len(found) > 1:
         listed = [
@@ -53,13 +55,15 @@ def push_for(registry: str, name: str, *architectures: str) -> str:
     return f"{registry}/{name}@{_digest(content)}"
 
 
-def _push_one(registry: str, name: str, cpu: str) -> tuple[bytes, str]:
-    described = []
+def _push_one(registry: str, name: str, cpu: str, compressed_bytes: int | None) -> tuple[bytes, str]:
+    described: list[dict[str, Any]] = []
     config = json.dumps({"os": "linux", "architecture": cpu}).encode()
     for blob, kind in ((config, "config.v1+json"), (cpu.encode(), "layer.v1.tar")):
         where = send("POST", f"http://{registry}/v2/{name}/blobs/uploads/")
         send("PUT", f"{where}&digest={_digest(blob)}", blob)
         described.append({"mediaType": f"application/vnd.oci.image.{kind}", "digest": _digest(blob), "size": len(blob)})
+    if compressed_bytes is not None:
+        described[1]["size"] = compressed_bytes
     body = {"schemaVersion": 2, "mediaType": MANIFEST, "config": described[0], "layers": described[1:]}
     content = json.dumps(body).encode()
     send("PUT", f"http://{registry}/v2/{name}/manifests/{_digest(content)}", content, MANIFEST)
@@ -100,6 +104,23 @@ def test_an_image_for_another_cpu_starts_no_machine(registry: str, shell: Shell,
     assert found["fixes"][0] in said
     assert cloud.machines == {}
     assert not (shell.folder / "results").exists()
+
+
+def test_an_image_that_takes_longer_than_it_may_starts_no_machine(registry: str, shell: Shell, cloud: Cloud) -> None:
+    image = push_for(registry, "robots/large", "amd64", compressed_bytes=8 * 2**30)
+    project(shell, image)
+    found = requirement(shell)
+    assert found["state"] == "problem"
+    assert found["detail"].startswith(f"{image}: to pull its 8.0 GiB (compressed) may take 12min at ")
+    assert found["fixes"] == ["set spec.benchmark.ready_timeout: 13min, and compile again; or make the image smaller"]
+    assert found["detail"] in bench(shell, code=1)
+    assert cloud.machines == {}
+    shell.write("specs/demo.yaml", shell.read("specs/demo.yaml").replace("ready_timeout: 1min", "ready_timeout: 13min"))
+    assert requirement(shell)["state"] == "ok"
+
+
+def test_the_user_of_an_image_is_told_to_skypilot_by_its_own_variable() -> None:
+    assert CLOUDS["runpod"].user_variable == constants.RUNPOD_DOCKER_USERNAME_ENV_VAR
 
 
 def test_an_image_that_is_gone_starts_no_machine(registry: str, shell: Shell, cloud: Cloud) -> None:
@@ -195,4 +216,4 @@ def test_a_login_to_another_registry_starts_no_machine(
 
 def test_what_does_not_say_its_cpu_passes(registry: str) -> None:
     image = f"{registry}/robots/plain@{push(registry, 'robots/plain', 'v1', b'layer')}"
-    Registry().check(image, ["x86_64", "arm64"])
+    Registry().check(image, ImageUse(architectures=["x86_64", "arm64"]))

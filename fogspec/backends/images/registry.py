@@ -1,4 +1,4 @@
-"""Resolves an image's tag to its digest, and tells its CPUs, by the registry's own protocol: manifests, never layers.
+"""Resolves an image's tag to its digest, and tells what it is, by the registry's own protocol: manifests, never layers.
 
 Sources: OCI Distribution Specification 1.1, "Pulling manifests"; distribution.github.io/distribution, "Token
 authentication". A registry on this host's loopback is queried by plain HTTP, as docker does; all others by HTTPS. Credentials
@@ -9,13 +9,16 @@ import base64
 import hashlib
 import ipaddress
 import json
+import math
+import os
 import queue
 import re
 import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from email.message import Message
 from functools import partial
 from http.client import HTTPException, HTTPMessage
@@ -23,7 +26,9 @@ from typing import Any, TypeVar
 
 from fogspec.backends.images.credentials import Credentials, credentials, credentials_of_machines
 from fogspec.base.errors import CloudError, InvalidInput
-from fogspec.language.lockfile import DOCKER_HUB, REGISTRY_LOGIN, Image, image_of
+from fogspec.base.text import visible
+from fogspec.base.units import format_duration
+from fogspec.language.lockfile import DOCKER_HUB, REGISTRY_LOGIN, Image, ImageUse, image_of
 
 ACCEPT = ", ".join((
     "application/vnd.oci.image.index.v1+json", "application/vnd.docker.distribution.manifest.list.v2+json",
@@ -33,8 +38,12 @@ TIMEOUT_S = 20.0  # without a byte
 DEADLINE_S = 60.0  # for a whole answer: one byte now and then is no answer
 MAX_BYTES = 4 << 20  # of a manifest: the specification's limit
 LONGEST_CHALLENGE = 4096
+# Assumed: a slow provider's network, one core that unpacks, and a disk of 218 MB/s that holds several times as much.
+PULL_S_PER_GIB = 90.0
+GIB = 2**30
 # OCI Image Specification, "Image Index" and "Image Configuration": GOARCH's names.
 ARCHITECTURES = {"x86_64": "amd64", "arm64": "arm64"}
+ROOT = ("", "0", "root", "0:0", "root:root", "0:root", "root:0")  # as `USER` has it
 BLOB = re.compile(r"sha256:[0-9a-f]{64}")
 PARAMETER = re.compile(r'(\w+)="([^"]*)"')
 
@@ -57,16 +66,16 @@ class Registry:
         """
         return _asked(name, partial(_digest, name))
 
-    def check(self, name: str, architectures: Sequence[str], secrets: Container[str] = ()) -> None:
-        """Raise InvalidInput if the registry does not have the image, or has it for other CPUs than one of `architectures`.
+    def check(self, name: str, use: ImageUse) -> None:
+        """Raise InvalidInput if the registry does not have the image, or it is not one that these machines can start in time.
 
-        They are named as in spec.hardware.arch. An image that does not say its CPU passes. If `secrets` has the login of the
-        machines, it is used as they will use it: raise InvalidInput if it is not accepted. Raise NotShown if the registry
-        requires a login and there is none, CloudError if it does not answer.
+        What it does not say of its CPU, size and user passes. If the machines have a login, it is used as they will use it:
+        raise InvalidInput if it is not accepted. Raise NotShown if the registry requires a login and there is none, CloudError
+        if it does not answer.
         """
-        login = credentials_of_machines(secrets, name)
+        login = credentials_of_machines(use.secrets, name)
         try:
-            has = _asked(name, partial(_architectures, login=login))
+            builds = _asked(name, partial(_builds, use=use, login=login))
         except NotShown:
             if login is None:
                 raise
@@ -75,11 +84,39 @@ class Registry:
                 f"{name}: the registry {registry} does not show it to the user that {user} and {password} log in",
                 f"export the values with which this works: docker login {registry}",
             ) from None
-        if missing := [one for one in architectures if has and ARCHITECTURES[one] not in has]:
+        has = {one.architecture for one in builds if one.architecture}
+        if missing := [one for one in use.architectures if has and ARCHITECTURES[one] not in has]:
             raise InvalidInput(
                 f"{name}: is for {', '.join(sorted(has))}, and spec.hardware.arch has {', '.join(missing)}",
                 f"build and push it for linux/{ARCHITECTURES[missing[0]]}, or change spec.hardware.arch",
             )
+        for one in builds:
+            _check_user(name, one.user, use)
+        _check_time(name, max((one.compressed_bytes for one in builds), default=0), use)
+
+
+def _check_user(name: str, user: str, use: ImageUse) -> None:
+    variable = use.user_variable
+    if variable is None or user in ROOT or (variable in use.secrets and os.environ.get(variable) == user):
+        return
+    raise InvalidInput(
+        f"{name}: its USER is {visible(user)}, and SkyPilot logs in as root where machines are containers",
+        "build it with USER root as its last one",
+        f"or add {variable} to spec.secrets, and export it with that name",
+    )
+
+
+def _check_time(name: str, compressed_bytes: int, use: ImageUse) -> None:
+    pull_s = compressed_bytes / GIB * PULL_S_PER_GIB
+    if pull_s <= use.timeout_s:
+        return
+    longer = format_duration(math.ceil((use.timeout_s + pull_s) / 60) * 60)
+    size, limit = f"{compressed_bytes / GIB:.1f} GiB (compressed)", f"{use.timeout} is {format_duration(use.timeout_s)}"
+    takes = f"may take {format_duration(math.ceil(pull_s / 60) * 60)} at {PULL_S_PER_GIB:g} s per GiB, which is assumed"
+    raise InvalidInput(
+        f"{name}: to pull its {size} {takes}; {limit}",
+        f"set {use.timeout}: {longer}, and compile again; or make the image smaller",
+    )
 
 
 def _asked(name: str, ask: Callable[[Image], ResultT]) -> ResultT:
@@ -117,20 +154,57 @@ def _in_time(work: Callable[[], ResultT]) -> ResultT:
     return result
 
 
-def _architectures(image: Image, login: Credentials | None = None) -> frozenset[str]:
-    """Return the CPUs that a Linux image is for, from its index or else its configuration; none if they do not say."""
+@dataclass(frozen=True, slots=True)
+class Build:
+    """An image for one CPU (GOARCH's name, None if it is not said): what is pulled, in bytes, and as whom it runs."""
+
+    architecture: str | None
+    compressed_bytes: int = 0
+    user: str = ""
+
+
+def _builds(image: Image, use: ImageUse, login: Credentials | None = None) -> list[Build]:
+    """Return a Linux image's builds; of those for other CPUs than its machines' the CPU alone."""
     manifest = _mapping(_fetch(image, f"manifests/{image.digest or image.tag}", login)[1])
     listed = manifest.get("manifests")
-    if isinstance(listed, list):
-        told = [one.get("platform") for one in listed if isinstance(one, dict)]
-    else:
-        config = manifest.get("config")
-        digest = str(config.get("digest")) if isinstance(config, dict) else ""
-        if not BLOB.fullmatch(digest):
-            return frozenset()
-        told = [_mapping(_fetch(image, f"blobs/{digest}", login)[1])]
-    found = [one.get("architecture") for one in told if isinstance(one, dict) and one.get("os", "linux") == "linux"]
-    return frozenset(one for one in found if isinstance(one, str) and re.fullmatch(r"[a-z0-9]{1,20}", one))
+    if not isinstance(listed, list):
+        return [_build(image, manifest, login)]
+    found = []
+    for one in filter(_is_linux, listed):
+        cpu, digest = _architecture(one["platform"]), str(one.get("digest"))
+        if cpu in [ARCHITECTURES[arch] for arch in use.architectures] and BLOB.fullmatch(digest):
+            found.append(_build(image, _mapping(_fetch(image, f"manifests/{digest}", login)[1]), login, cpu))
+        else:
+            found.append(Build(cpu))
+    return found
+
+
+def _is_linux(listed: object) -> bool:
+    platform = listed.get("platform") if isinstance(listed, dict) else None
+    return isinstance(platform, dict) and platform.get("os", "linux") == "linux"
+
+
+def _build(image: Image, manifest: Mapping[str, Any], login: Credentials | None, cpu: str | None = None) -> Build:
+    """Return what a manifest and its configuration say; `cpu` is the one that the index gave."""
+    layers, config = manifest.get("layers"), manifest.get("config")
+    sizes = [one.get("size") for one in layers if isinstance(one, dict)] if isinstance(layers, list) else []
+    compressed_bytes = sum(size for size in sizes if isinstance(size, int) and size > 0)
+    digest = str(config.get("digest")) if isinstance(config, dict) else ""
+    if not BLOB.fullmatch(digest):
+        return Build(cpu, compressed_bytes)
+    values = _mapping(_fetch(image, f"blobs/{digest}", login)[1])
+    runs = values.get("config")
+    user = runs.get("User") if isinstance(runs, dict) else None
+    return Build(
+        cpu or (_architecture(values) if values.get("os", "linux") == "linux" else None),
+        compressed_bytes,
+        user if isinstance(user, str) else "",
+    )
+
+
+def _architecture(said: Mapping[str, Any]) -> str | None:
+    one = said.get("architecture")
+    return one if isinstance(one, str) and re.fullmatch(r"[a-z0-9]{1,20}", one) else None
 
 
 def _mapping(content: bytes) -> Mapping[str, Any]:

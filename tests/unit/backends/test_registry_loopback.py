@@ -9,7 +9,8 @@ import stat
 import threading
 import urllib.request
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from http.client import HTTPMessage
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ import pytest
 from fogspec.backends.images.credentials import credentials
 from fogspec.backends.images.registry import Registry, _NoCredentialsElsewhere
 from fogspec.base.errors import CloudError, FogspecError, InvalidInput
+from fogspec.language.lockfile import ImageUse
 
 BODY = b'{"schemaVersion": 2}'
 DIGEST = f"sha256:{hashlib.sha256(BODY).hexdigest()}"
@@ -324,12 +326,12 @@ def test_an_image_is_for_the_cpus_that_it_says(
     docker({})
     one.answer = answer
     if said is None:
-        Registry().check(f"{one.address}/robot:v1", wanted)
+        Registry().check(f"{one.address}/robot:v1", ImageUse(architectures=wanted))
         blobs = [path for _, path, *_ in one.seen if "/blobs/" in path]
         assert all(path.startswith("/v2/robot/blobs/sha256:") for path in blobs), "no name that a registry made up"
     else:
         with pytest.raises(InvalidInput, match=said):
-            Registry().check(f"{one.address}/robot:v1", wanted)
+            Registry().check(f"{one.address}/robot:v1", ImageUse(architectures=wanted))
 
 
 def test_the_login_of_machines_is_used_where_the_spec_gives_it_to_them(
@@ -341,18 +343,87 @@ def test_the_login_of_machines_is_used_where_the_spec_gives_it_to_them(
     for name, value in zip(names, ("reader", "hunter2", one.address), strict=True):
         monkeypatch.setenv(name, value)
     one.answer = asked_first(of_config("amd64"))
-    Registry().check(f"{one.address}/robot:v1", ["x86_64"], names)
+    Registry().check(f"{one.address}/robot:v1", ImageUse(architectures=["x86_64"], secrets=names))
     assert set(one.given) == {BASIC}
     one.seen.clear()
     with pytest.raises(InvalidInput, match=r"does not show it$"):
-        Registry().check(f"{one.address}/robot:v1", ["x86_64"])
+        Registry().check(f"{one.address}/robot:v1", ImageUse(architectures=["x86_64"]))
     assert one.given == []
     one.answer = lambda _: (401, {"WWW-Authenticate": "Basic realm=x"}, b"")
     with pytest.raises(InvalidInput, match=f"does not show it to the user that {names[0]} and {names[1]} log in"):
-        Registry().check(f"{one.address}/robot:v1", ["x86_64"], names)
+        Registry().check(f"{one.address}/robot:v1", ImageUse(architectures=["x86_64"], secrets=names))
     monkeypatch.setenv(names[2], "registry.example")
     with pytest.raises(InvalidInput, match=f"its registry is {one.address}, and {names[2]} names another one"):
-        Registry().check(f"{one.address}/robot:v1", ["x86_64"], names)
+        Registry().check(f"{one.address}/robot:v1", ImageUse(architectures=["x86_64"], secrets=names))
+
+
+def of_content(*bytes_of: object, user: object = "", cpus: tuple[str, ...] = ()) -> Callable[[Any], Answer]:
+    """Answer with an image of these layers that runs as a user, in an index if there are `cpus`."""
+    config = json.dumps({"os": "linux", "architecture": "amd64", "config": {"User": user}}).encode()
+    layers = [{"size": one} for one in bytes_of]
+    manifest = json.dumps({"config": {"digest": digest_of(config)}, "layers": layers}).encode()
+    listed = [{"platform": {"os": "linux", "architecture": cpu}, "digest": digest_of(manifest)} for cpu in cpus]
+    first = json.dumps({"manifests": listed}).encode() if cpus else manifest
+    there = {f"blobs/{digest_of(config)}": config, f"manifests/{digest_of(manifest)}": manifest, "manifests/v1": first}
+    return lambda request: (200, {}, there[request.path.removeprefix("/v2/robot/")])
+
+
+def digest_of(content: bytes) -> str:
+    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+@pytest.mark.parametrize("cpus", [(), ("arm64", "amd64")])
+def test_a_large_image_needs_time_to_be_pulled(servers: Any, docker: Any, cpus: tuple[str, ...]) -> None:
+    one = servers()
+    docker({})
+    one.answer = of_content(8 * 2**30, 2**30, cpus=cpus)
+    timeout = "spec.benchmark.ready_timeout"
+    needs = partial(ImageUse, architectures=["x86_64"], timeout=timeout)
+    Registry().check(f"{one.address}/robot:v1", needs(timeout_s=810.0))
+    with pytest.raises(
+        InvalidInput, match=r"9\.0 GiB \(compressed\) may take 14min .* assumed; .* is 5min$"
+    ) as refused:
+        Registry().check(f"{one.address}/robot:v1", needs(timeout_s=300.0))
+    assert refused.value.hints[0].startswith(f"set {timeout}: 19min, and compile again")
+
+
+@pytest.mark.parametrize("sizes", [("9999999999",), (-5, 10), (None,)])
+def test_a_size_that_is_none_is_not_known(servers: Any, docker: Any, sizes: tuple[Any, ...]) -> None:
+    one = servers()
+    docker({})
+    one.answer = of_content(*sizes)
+    Registry().check(f"{one.address}/robot:v1", ImageUse(architectures=["x86_64"], timeout_s=0.1))
+
+
+@pytest.mark.parametrize(
+    ("user", "exported", "fine"),
+    [
+        ("", None, True),
+        ("root", None, True),
+        ("0:0", None, True),
+        (7, None, True),
+        ("ros", None, False),
+        ("1000", None, False),
+        ("ros", "ros", True),
+        ("ros", "other", False),
+    ],
+)
+def test_skypilot_logs_in_as_the_images_user(
+    servers: Any, docker: Any, monkeypatch: pytest.MonkeyPatch, user: object, exported: str | None, fine: bool
+) -> None:
+    one, variable = servers(), "SKYPILOT_RUNPOD_DOCKER_USERNAME"
+    docker({})
+    one.answer = of_content(5, user=user, cpus=("amd64",))
+    use = ImageUse(architectures=["x86_64"], user_variable=variable, secrets=[variable] if exported else [])
+    if exported is not None:
+        monkeypatch.setenv(variable, exported)
+    Registry().check(f"{one.address}/robot:v1", replace(use, user_variable=None))
+    if fine:
+        Registry().check(f"{one.address}/robot:v1", use)
+    else:
+        with pytest.raises(InvalidInput, match=f"its USER is {user}, and SkyPilot logs in as root") as refused:
+            Registry().check(f"{one.address}/robot:v1", use)
+        assert refused.value.hints[1] == f"or add {variable} to spec.secrets, and export it with that name"
 
 
 # What docker keeps

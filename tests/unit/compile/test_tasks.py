@@ -1,6 +1,7 @@
 """Compiled tasks: what is in them, and that everything in them is quoted for its language."""
 
 import json
+import math
 import shutil
 import subprocess
 from pathlib import Path
@@ -18,9 +19,9 @@ from fogspec.compile.tasks import (
     deploy_task,
     deploy_work,
     deployed_processes,
+    image_use,
     launched_together,
     left_out,
-    login_of_machines,
     measured_processes,
     parameter,
     ros_environment,
@@ -378,7 +379,20 @@ def test_the_login_to_the_registry_is_not_passed_to_the_nodes(tmp_path):
 )
 def test_only_machines_of_clouds_log_in_to_a_registry(infra, logs_in):
     spec = application(infra=infra, secrets=["API_KEY", *REGISTRY_LOGIN], ros={"image": "x.example/nodes:1"}).spec
-    assert login_of_machines(spec) == (list(REGISTRY_LOGIN) if logs_in else [])
+    assert image_use(spec, measures=True).secrets == (list(REGISTRY_LOGIN) if logs_in else [])
+
+
+@pytest.mark.parametrize(
+    ("infra", "waits", "logs_in"), [("runpod", True, True), ("aws", True, False), ("slurm/lab", False, False)]
+)
+def test_machines_need_an_image_that_starts_in_time_and_for_their_user(infra, waits, logs_in):
+    name = "SKYPILOT_RUNPOD_DOCKER_USERNAME"
+    spec = application(infra=[infra], secrets=["API_KEY", name], ros={"image": "x.example/nodes:1"}).spec
+    measured, served = image_use(spec, measures=True), image_use(spec, measures=False)
+    limits = [spec.benchmark.ready_timeout, spec.deployment.ready_timeout] if waits else [math.inf, math.inf]
+    assert [measured.timeout_s, served.timeout_s] == limits
+    assert (measured.timeout, served.timeout) == ("spec.benchmark.ready_timeout", "spec.deployment.ready_timeout")
+    assert (measured.user_variable, measured.secrets) == ((name, [name]) if logs_in else (None, []))
 
 
 def test_where_an_image_or_its_login_is_not_used_is_said():
