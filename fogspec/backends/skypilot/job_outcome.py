@@ -55,9 +55,11 @@ def _without_outcome(status: SampleStatus, job_status: str | None, job: Job) -> 
     detail = f"the job ended as {job_status}" + (f": {line}" if line else "")
     if job_status == "CANCELLED":
         return replace(status, lost=True, detail=detail)
-    if logs.out_of_memory(job.files, log):
-        return replace(status, reason="out_of_memory", detail=detail)
-    return replace(status, reason="setup" if job_status == "FAILED_SETUP" else "crash", detail=detail)
+    starved = logs.out_of_memory(job.files, log)
+    if not logs.measures(job.files, log):
+        # A workspace that does not build with so much memory may serve with it, built elsewhere.
+        return replace(status, reason="setup", detail=f"its set-up ran out of memory: {detail}" if starved else detail)
+    return replace(status, reason="out_of_memory" if starved else "crash", detail=detail)
 
 
 def read_final(job: Job) -> SampleStatus | None:

@@ -106,6 +106,13 @@ def last_line(files: ProjectFiles, log: Path) -> str:
     return agent_state.last_line(_tail(files, log)) or ""
 
 
+def measures(files: ProjectFiles, log: Path) -> bool:
+    """Return whether set-up was over, and the nodes were to be started."""
+    with contextlib.suppress(OSError):
+        return any(line.startswith(MEASURES) for line in _lines(files, log))
+    return False
+
+
 def out_of_memory(files: ProjectFiles, log: Path) -> bool:
     """Return whether the log ends with a process that was killed for lack of memory."""
     return OOM.search(_tail(files, log)) is not None

@@ -124,5 +124,5 @@ def test_a_job_ended_for_want_of_memory_is_told_from_others(tmp_path: Path) -> N
     assert logs.out_of_memory(ProjectFiles(tmp_path), log)
     log.write_bytes(b"c++: fatal error: Killed signal terminated program cc1plus\ncompilation terminated.\n")
     assert logs.out_of_memory(ProjectFiles(tmp_path), log)
-    log.write_bytes(b"Segmentation fault\n")
+    log.write_bytes(b"\n".join([b"=== fogspec measures ===", b"Segmentation fault"]))
     assert not logs.out_of_memory(ProjectFiles(tmp_path), log)

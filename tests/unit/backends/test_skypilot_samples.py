@@ -146,12 +146,23 @@ def test_a_log_cut_on_its_way_is_read_again(bed, monkeypatch):
     assert progress.timings is not None
 
 
-def test_a_job_without_an_outcome_says_its_last_words(bed):
+@pytest.mark.parametrize(
+    ("before", "last", "reason", "said"),
+    [
+        ("", "E: no such package", "setup", ""),
+        ("=== fogspec measures ===", "E: no such package", "crash", ""),
+        ("", "c++: fatal error: Killed signal terminated program cc1plus", "setup", "its set-up ran out of memory: "),
+        ("", "Task was killed due to the node running low on memory", "setup", "its set-up ran out of memory: "),
+        ("=== fogspec measures ===", "Task was killed due to the node running low on memory", "out_of_memory", ""),
+    ],
+)
+def test_a_job_without_an_outcome_says_its_last_words(bed, before, last, reason, said):
+    """What fails before the nodes start, such as a build, says nothing about a machine that serves."""
     job = bed.job()
-    job.task["run"] = "echo installing; echo 'E: no such package' >&2; exit 100"
+    job.task["run"] = f"echo installing; echo {before!r}; echo {last!r} >&2; exit 100"
     bed.backend.start(job)
     progress, _ = patient(bed.backend, job)
-    assert (progress.reason, progress.detail) == ("crash", "the job ended as FAILED: E: no such package")
+    assert (progress.reason, progress.detail) == (reason, f"{said}the job ended as FAILED: {last}")
 
 
 @pytest.mark.slow
