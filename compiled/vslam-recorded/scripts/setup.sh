@@ -33,12 +33,27 @@ patiently() {
 }
 # The machine's own daily update may hold the lock.
 ask_apt() { as_root apt-get -qq -o DPkg::Lock::Timeout=300 -o Acquire::Retries=5 "$@"; }
-# An image comes without package lists, and a second set-up needs no newer ones. Where a source cannot be read, as one whose key
-# has expired, what the others have may be enough.
+# An image comes without package lists, and a second set-up needs no newer ones. Where a source cannot be read, what the others
+# have may be enough. ROS 2's has had another key since June 2025, which images from before do not know.
 apt_is_fresh=
 update_apt() {
-  [ -n "$apt_is_fresh" ] || ask_apt update || printf 'apt-get update failed: continuing with the package lists that are here\n' >&2
+  [ -z "$apt_is_fresh" ] || return 0
   apt_is_fresh=yes
+  ask_apt update || renew_ros_source || printf 'apt-get update failed: continuing with the package lists that are here\n' >&2
+}
+renew_ros_source() {
+  grep -qs 'packages\.ros\.org/ros2/ubuntu' /etc/apt/sources.list.d/* && (. /etc/os-release; [ "${VERSION_CODENAME:-}" = jammy ]) &&
+    needs ca-certificates curl && install_ros_source && ask_apt update
+}
+# Each step only after the one before, wherever it is called. apt refuses two lists of one place with different keys.
+install_ros_source() {
+  local package
+  package=$(mktemp --suffix=.deb) &&
+    curl -fsSL --retry 5 -o "$package" "https://github.com/ros-infrastructure/ros-apt-source/releases/download/1.2.0/ros2-apt-source_1.2.0.jammy_all.deb" &&
+    echo "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433 $package" | sha256sum --strict --check --status &&
+    { ! grep -qs packages /etc/apt/sources.list.d/*.list || as_root sed -i '\#packages\.ros\.org/ros2/ubuntu#d' /etc/apt/sources.list.d/*.list; } &&
+    ask_apt install -y "$package" &&
+    rm -f "$package"
 }
 # Nothing is asked of root where all of it is there: the users of a cluster are not root.
 needs() {
@@ -65,11 +80,7 @@ if [ ! -e "$ros" ]; then
     exit 1
   fi
   needs ca-certificates curl locales
-  package=$(mktemp --suffix=.deb)
-  curl -fsSL --retry 5 -o "$package" "https://github.com/ros-infrastructure/ros-apt-source/releases/download/1.2.0/ros2-apt-source_1.2.0.jammy_all.deb"
-  echo "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433 $package" | sha256sum --strict --check --status
-  ask_apt install -y "$package"
-  rm -f "$package"
+  install_ros_source
   apt_is_fresh=
   needs ros-humble-ros-base
 fi

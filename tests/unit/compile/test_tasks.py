@@ -1,7 +1,9 @@
 """Compiled tasks: what is in them, and that everything in them is quoted for its language."""
 
+import hashlib
 import json
 import math
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -560,6 +562,46 @@ def test_what_machines_and_servers_do_now_and_then_does_not_end_a_set_up(tmp_pat
     (tmp_path / "limit").write_text(f"{4 * 2**30}\n")
     (tmp_path / "said").write_text("rosdep update\n" * 2)
     assert compilers().startswith("colcon -j2 "), "a pod has no more than its limit"
+
+
+@pytest.mark.parametrize(
+    ("codename", "intact", "renews"), [("noble", True, True), ("noble", False, False), ("jammy", True, False)]
+)
+def test_an_image_whose_key_of_ros_has_expired_gets_the_new_one(
+    tmp_path: Path, codename: str, intact: bool, renews: bool
+) -> None:
+    """Its list of ROS 2 gives way to that of the package with the new key, if that is the package which was expected."""
+    tools, ros, lists = tmp_path / "bin", tmp_path / "ros", tmp_path / "lists"
+    for folder in (tools, ros / "jazzy", lists):
+        folder.mkdir(parents=True)
+    (ros / "jazzy" / "setup.bash").write_text("")
+    old = "deb [ signed-by=/usr/share/keyrings/old.gpg ] http://packages.ros.org/ros2/ubuntu noble main\n"
+    (lists / "ros2.list").write_text(old)
+    (lists / "own.list").write_text("deb http://mirror.example/ubuntu noble main\n")
+    (tmp_path / "os-release").write_text(f"VERSION_CODENAME={codename}\n")
+    fakes = FAKES | {
+        "id": "echo 0",
+        "apt-get": f"""echo "apt-get $*" >> "$HOME/said"
+case $* in *update*) ! grep -q ros2 {lists}/*.list ;; esac""",
+    }
+    for name, body in fakes.items():
+        (tools / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tools / name).chmod(0o755)
+    script = render("setup.sh.j2", **GENERATED, **ros_environment(application(ros={"apt": ["ros-jazzy-x"]}).spec))
+    script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
+    script = script.replace("/etc/apt/sources.list.d", str(lists)).replace("/etc/os-release", f"{tmp_path}/os-release")
+    if intact:
+        script = re.sub("[0-9a-f]{64}(?= [$]package)", hashlib.sha256(b"").hexdigest(), script)
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=600,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
+    assert run.returncode == 0, run.stdout
+    assert ("continuing with the package lists that are here" in run.stdout) == (not renews)
+    assert (lists / "ros2.list").read_text() == ("" if renews else old)
+    assert (lists / "own.list").read_text().startswith("deb ")
+    said = (tmp_path / "said").read_text()
+    assert said.count(" update\n") == 1 + renews
+    assert ("ros2-apt-source" in said or ".deb" in said) == renews
+    assert said.rstrip().endswith("-- ros-jazzy-x")
 
 
 @pytest.mark.parametrize(
