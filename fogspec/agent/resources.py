@@ -134,6 +134,7 @@ class Resources:
     def __init__(self, gpus: GpuReader | None = None) -> None:
         self.gpus = gpus or GpuReader()
         self.readings: list[Reading] = []
+        self.before_bytes = _used()
         self.first: Reading | None = None
         self.last: Reading | None = None
         self.cpu_max = 0.0
@@ -173,6 +174,7 @@ class Resources:
             "outside": self._outside(window_s),
             "throttled": _throttled(first.periods, last.periods),
             "memory_peak": _gib(self.peak_bytes),
+            "memory_before": _gib(self.before_bytes),
             "minor_faults": max(0, last.minor_faults - first.minor_faults),
             "major_faults": max(0, last.major_faults - first.major_faults),
             "swapped": _gib(_passed(first.swapped_bytes, last.swapped_bytes)),
@@ -293,6 +295,12 @@ def _stat(pid: int | str) -> list[int]:
             found = [0, *map(int, file.read().rsplit(b")", 1)[1].split()[1:22])]
         return found if len(found) == 22 else []
     return []
+
+
+def _used() -> int | None:
+    """Return the bytes of this machine's memory that others use, as far as they cannot be taken from them; None if unknown."""
+    found = dict(re.findall(r"^(MemTotal|MemAvailable):\s+(\d+) kB$", read_text(PROC / "meminfo"), re.MULTILINE))
+    return max(0, int(found["MemTotal"]) - int(found["MemAvailable"])) * 1024 if len(found) == 2 else None
 
 
 def _swapped() -> int | None:

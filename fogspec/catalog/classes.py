@@ -13,12 +13,15 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.clouds import Cloud, OwnEnd, cloud_of
+from fogspec.base.clouds import CLOUDS, Cloud, OwnEnd, cloud_of
 from fogspec.catalog.table import Catalog, Strings
 from fogspec.language.schema import MachineClass
 
 Mask = NDArray[np.bool_]
 CURRENT = 3  # generations of a series
+# With less, what SkyPilot runs beside the nodes is a large part: Ray and its own daemon take 0.6 to 1 GiB, and Ray ends what
+# runs at 95% (docs.ray.io, "Out-Of-Memory Prevention").
+LOW_GIB = 4.0 * (1 - 1e-9)
 
 
 def accelerated(offers: Catalog) -> Mask:
@@ -60,7 +63,20 @@ def left_out(offers: Catalog) -> dict[MachineClass, Mask]:
     """
     plain = ~accelerated(offers)
     previous = plain & _previous(offers, plain)
-    return {"previous-generation": previous, "burstable": plain & burstable(offers) & ~previous}
+    bursts = plain & burstable(offers) & ~previous
+    return {
+        "previous-generation": previous,
+        "burstable": bursts,
+        "low-memory": _low_memory(offers) & ~previous & ~bursts,
+    }
+
+
+def _low_memory(offers: Catalog) -> Mask:
+    """Return the mask of a cloud's machines with little memory; who asks for the shape of a pod or a job means it."""
+    found = np.zeros(len(offers), dtype=np.bool_)
+    for cloud, here in _clouds(offers):
+        found |= here & (cloud.name in CLOUDS and cloud.instance_types)
+    return found & np.asarray(offers.memory_gib < LOW_GIB, dtype=np.bool_)
 
 
 def platforms(offers: Catalog) -> Strings:

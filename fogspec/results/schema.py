@@ -107,7 +107,8 @@ class ResourceUse(Strict):
     `cpu_mean` and `cpu_max`, of one second, are in vCPUs, of `vcpus` that affinity and quota let the processes use. `throttled`
     is the fraction of periods in which that quota stopped them. `outside` is the fraction of `vcpus` that other processes, or
     the machine's host, kept from them. `memory_peak` is the largest sum of their resident memory, read
-    once per second. Page faults are theirs; `major_faults` waited for a disk. `swapped`, `received` and `sent` are what the
+    once per second; `memory_before` is what others used on the machine before they started. Page faults are theirs;
+    `major_faults` waited for a disk. `swapped`, `received` and `sent` are what the
     whole machine moved to and from swap and through its network devices. Of its `gpus`, `gpu_mean` and `gpu_max` are the
     fractions of time in which the busiest one computed, and `gpu_memory_peak` is of `gpu_memory` of the fullest one. `overhead`
     is what reading all this took, in vCPUs.
@@ -120,6 +121,7 @@ class ResourceUse(Strict):
     throttled: float | None = Field(None, ge=0, le=1)
     outside: float | None = Field(None, ge=0, le=1)
     memory_peak: MemoryUse
+    memory_before: MemoryUse | None = None
     minor_faults: Annotated[int, Field(ge=0, le=10**15)]
     major_faults: Annotated[int, Field(ge=0, le=10**15)]
     swapped: MemoryUse | None = None

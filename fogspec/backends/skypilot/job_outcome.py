@@ -10,6 +10,7 @@ from fogspec.backends.agent_state import read_outcome, resource_use, server_fact
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.backends.skypilot import logs
 from fogspec.base.layout import MOST_BYTES
+from fogspec.base.units import shown_memory
 
 LOG = "run.log"
 ENDED = "ended.json"
@@ -30,7 +31,9 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
         return _without_outcome(status, record.get("status"), job)
     detail = outcome.detail
     if outcome.reason == "out_of_memory" and job.machine is not None:
-        detail = f"{job.machine.memory:g} GiB were not enough: {detail}"
+        before = None if outcome.resources is None else outcome.resources.memory_before
+        used = "" if before is None else f", of which {shown_memory(before)} were used before the nodes started,"
+        detail = f"{job.machine.memory:g} GiB{used} were not enough: {detail}"
     ended_s, measured_s = record.get("end_at"), outcome.measured_s
     setup_s = None
     if ended_s is not None and measured_s is not None:

@@ -74,7 +74,7 @@ def reading(at_s: float, cpu_s: float, **changed: object) -> resources.Reading:
     })  # fmt: skip
 
 
-def test_a_window_has_the_mean_and_the_largest_second(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_has_the_mean_and_the_largest_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     readings = [
         reading(10.0, 5.0, periods={"pod": (100, 10), "node": (50, 0)}),
         reading(11.0, 6.0, resident_bytes=3 * 2**30),
@@ -85,6 +85,8 @@ def test_a_window_has_the_mean_and_the_largest_second(monkeypatch: pytest.Monkey
     pending = iter(readings)
     monkeypatch.setattr(resources, "read", lambda _now, _but: next(pending))
     monkeypatch.setattr(resources, "usable_vcpus", lambda: 4.0)
+    (tmp_path / "meminfo").write_text("MemTotal: 4194304 kB\nMemFree: 1 kB\nMemAvailable:  3145728 kB\n")
+    monkeypatch.setattr(resources, "PROC", tmp_path)
     monkeypatch.setattr(resources.time, "monotonic", lambda: next(seconds))
     found = resources.Resources(resources.GpuReader([]))
     found.begin()
@@ -95,6 +97,7 @@ def test_a_window_has_the_mean_and_the_largest_second(monkeypatch: pytest.Monkey
     assert facts.pop("overhead") >= 0
     assert facts == {
         "window": 2.2, "vcpus": 4.0, "cpu_mean": 2.045, "cpu_max": 3.5, "throttled": 0.5, "memory_peak": 3.0,
+        "memory_before": 1.0,
         "minor_faults": 7, "major_faults": 0, "swapped": 0.0009766, "received": 0.0,
     }  # fmt: skip
 

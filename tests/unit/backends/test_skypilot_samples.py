@@ -1,6 +1,7 @@
 """The SkyPilot runner when things go wrong between it and SkyPilot, on a simulated one."""
 
 import json
+import shlex
 import time
 from concurrent.futures import Future
 
@@ -163,6 +164,21 @@ def test_a_job_without_an_outcome_says_its_last_words(bed, before, last, reason,
     bed.backend.start(job)
     progress, _ = patient(bed.backend, job)
     assert (progress.reason, progress.detail) == (reason, f"{said}the job ended as FAILED: {last}")
+
+
+def test_what_runs_out_of_memory_says_what_was_used_before(bed):
+    use = {"window": 2.0, "vcpus": 1.0, "cpu_mean": 1.0, "cpu_max": 1.0, "overhead": 0.0, "minor_faults": 0,
+           "major_faults": 0, "memory_peak": 0.25, "memory_before": 0.75}  # fmt: skip
+    outcome = {"state": "failed", "reason": "out_of_memory", "detail": "node ended by signal 9", "resources": use}
+    lines = ["measures", "begin outcome.json", "", "end outcome.json", "begin timings.jsonl", "end timings.jsonl"]
+    said = [f"=== fogspec {one} ===" if one else json.dumps(outcome) for one in lines]
+    job = bed.job()
+    job.task["run"] = f"printf '%s\\n' {shlex.join(said)}"
+    bed.backend.start(job)
+    progress, _ = patient(bed.backend, job)
+    assert progress.reason == "out_of_memory"
+    used = "of which 768 MiB were used before the nodes started, were not enough: node ended by signal 9"
+    assert progress.detail == f"{job.machine.memory:g} GiB, {used}"
 
 
 @pytest.mark.slow

@@ -50,6 +50,19 @@ def test_allow_admits_the_classes_and_names_that_it_lists(allow: list[str], more
     assert "f2" not in found, "no accelerator is no accelerator"
 
 
+@pytest.mark.parametrize(
+    ("cloud", "left"),
+    [("aws", ["c7a"]), ("runpod", ["c7a"]), ("slurm", ["c7a", "c7a.medium"]), ("rack", ["c7a", "c7a.medium"])],
+)
+def test_a_clouds_machine_with_little_memory_is_measured_when_asked_for(cloud: str, left: list[str]) -> None:
+    """SkyPilot takes up to 1 GiB of it; the shape of a job is meant, and who writes a price list chose its machines."""
+    rows = ["c7a.medium,,,1,2,0.05,,r1,", "c7a.large,,,2,4,0.1,,r1,"]
+    assert names(*rows, infra=cloud, cloud=cloud) == left
+    asked = Hardware(allow=["standard", "low-memory"])
+    assert names(*rows, infra=cloud, cloud=cloud, hardware=asked) == ["c7a", "c7a.medium"]
+    assert names(*rows, infra=cloud, cloud=cloud, hardware=Hardware(allow=["c7a.*"])) == ["c7a", "c7a.medium"]
+
+
 def test_a_place_with_nothing_newer_keeps_what_it_has() -> None:
     rows = [f"{family}.large,,,2,8,0.1,,us-east-1,a" for family in ("m5", "m6i", "m7i", "m8i")]
     far = [f"{family}.large,,,2,8,0.1,,ap-south-1,a" for family in ("m5", "m6i")]
