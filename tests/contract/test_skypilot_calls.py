@@ -222,11 +222,11 @@ from jinja2 import Template
 from sky import skypilot_config
 from sky.server.requests import payloads
 from sky.utils.annotations import client_api
-from fogspec.backends.skypilot.internals import power_off_armed
+from fogspec.backends.skypilot.internals import launch_settings
 
 def user_data(task):
     \"\"\"What SkyPilot's API server writes into the user data of a machine on AWS, from what its client sends.\"\"\"
-    with power_off_armed(task):
+    with launch_settings(task):
         sent = client_api(lambda: json.loads(json.dumps(payloads.get_override_skypilot_config_from_client())))()
     with skypilot_config.override_skypilot_config(sent):
         runcmd = skypilot_config.get_effective_region_config(
@@ -266,3 +266,60 @@ def test_the_first_boot_on_aws_arms_a_timer_that_turns_the_machine_off(
     assert said["gcp"] == (kept or None)
     assert "runcmd" in said["first_boot"]
     assert said["left"]
+
+
+CREDENTIALS = """
+import json, os
+from sky import check, skypilot_config
+from sky.server.requests import payloads
+from sky.utils import registry
+from sky.utils.annotations import client_api
+from fogspec.backends.skypilot.internals import launch_settings
+
+home = os.path.expanduser("~")
+for cloud in registry.CLOUD_REGISTRY.values():
+    for local in cloud.get_credential_file_mounts().values():
+        os.makedirs(os.path.dirname(os.path.expanduser(local)), exist_ok=True)
+        open(os.path.expanduser(local), "a").close()
+for name in (".aws/credentials", ".oci/config", ".config/gcloud/application_default_credentials.json"):
+    os.makedirs(os.path.dirname(f"{home}/{name}"), exist_ok=True)
+    open(f"{home}/{name}", "a").close()
+skypilot_config.reload_config()
+
+def copied(infra):
+    # It asks for each cloud's setting so: backends/backend_utils.py, write_cluster_config.
+    with launch_settings({"resources": {"infra": infra}}):
+        sent = client_api(lambda: json.loads(json.dumps(payloads.get_override_skypilot_config_from_client())))()
+    with skypilot_config.override_skypilot_config(sent):
+        kept = [cloud for name, cloud in registry.CLOUD_REGISTRY.items() if "NO_UPLOAD" ==
+                skypilot_config.get_effective_workspace_region_config(
+                    cloud=name.lower(), region="r1", keys=("remote_identity",), default_value=None)]
+        return sorted(check.get_cloud_credential_file_mounts(kept))
+
+all_of_them = sorted(check.get_cloud_credential_file_mounts([]))
+print(json.dumps({"all": all_of_them, **{one: copied(one) for one in
+                  ("aws", "gcp/us-central1", "vast", "kubernetes/lab", "lambda")}}))
+"""
+
+
+@pytest.mark.parametrize(
+    "theirs", ["", "aws: {remote_identity: LOCAL_CREDENTIALS}\n", "aws: {remote_identity: [{x: role}]}\n"]
+)
+def test_a_machine_gets_the_credentials_of_its_own_cloud_alone(
+    tmp_path: Path, theirs: str, skypilot: Callable[..., str]
+) -> None:
+    """As far as SkyPilot's settings go: those of a few others are a file each, which a page names."""
+    (tmp_path / ".sky").mkdir()
+    (tmp_path / ".sky" / "config.yaml").write_text(theirs)
+    said = json.loads(skypilot(CREDENTIALS).splitlines()[-1])
+    mine = {"aws": "~/.aws/", "gcp/us-central1": "~/.config/gcloud/", "vast": "~/.config/vastai/", "kubernetes/lab": "~/.kube/",
+            "azure": "~/.azure/"}  # fmt: skip
+    for infra in ("aws", "gcp/us-central1", "vast", "kubernetes/lab", "lambda"):
+        found = {name for name, folder in mine.items() if any(path.startswith(folder) for path in said[infra])}
+        assert found == {infra} & mine.keys(), infra
+    assert any(path.startswith("~/.lambda_cloud") for path in said["lambda"])
+    assert {one for one in mine if any(path.startswith(mine[one]) for path in said["all"])} >= {
+        "aws",
+        "azure",
+        "kubernetes/lab",
+    }

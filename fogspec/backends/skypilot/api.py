@@ -17,7 +17,7 @@ from sky.client import sdk  # `sky.check` is a module
 
 from fogspec.backends.skypilot import secrets_file
 from fogspec.backends.skypilot.errors import CloudProblem, classify
-from fogspec.backends.skypilot.internals import await_gone, power_off_armed
+from fogspec.backends.skypilot.internals import await_gone, launch_settings
 from fogspec.base.project_files import ProjectFiles
 
 PREFIX = "fogspec-"
@@ -75,7 +75,7 @@ def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
     try:
         wanted = sky.Task.from_yaml_config(given)
         _afford(wanted, task)
-        with power_off_armed(task):
+        with launch_settings(task):
             return {"request": str(sky.launch(wanted, cluster_name=name))}
     except BaseException:
         secrets_file.forget(name)

@@ -1,6 +1,6 @@
 """What fogspec needs of SkyPilot and its public Python API lacks; nothing else uses SkyPilot's own modules.
 
-Two things. A contract test holds them for every supported version (`tests/contract/sky_has_calls.py`).
+Three things. A contract test holds them for every supported version (`tests/contract/sky_has_calls.py`).
 
 Whether a cloud has, or had, a machine that SkyPilot has forgotten, and to terminate it. `sky.down` removes its record once the
 cloud has accepted the request, and does not verify the result: in 0.14.1 the check in
@@ -12,6 +12,10 @@ Timers, set by a machine's first boot, that turn it off: an end without any supe
 arms autostop once a machine has booted and has its files. Until then, only what the cloud does with the machine's user data can
 end it. On AWS SkyPilot adds the commands of `aws.post_provision_runcmd` to the user data. A task cannot set them; the client's
 configuration can, which goes along with each request.
+
+Credentials that stay here. SkyPilot copies to each machine those of all clouds that this computer has, not only of the
+machine's own, with which it ends itself (0.14.1: `check.get_cloud_credential_file_mounts`). The same configuration keeps
+back those of each cloud for which its schema knows `remote_identity`.
 """
 
 import base64
@@ -22,6 +26,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from sky import global_user_state, provision, skypilot_config
+from sky.utils import schemas
 
 from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.base.clouds import OwnEnd, cloud_of
@@ -30,6 +35,8 @@ from fogspec.plan.commitment import power_off_s
 TIMEOUT_S = 90.0
 POLL_S = 1.0
 KEYS = ("aws", "post_provision_runcmd")
+REMOTE_IDENTITY = "remote_identity"
+ONE_FILE = ("kubernetes", "ssh")  # both have their credentials in one file
 REBOOTED_S = 900.0  # time to log in to a machine that one has rebooted
 # Of a machine's first boot. Its units stay on its disk: nothing starts job, skylet and autostop again after a reboot, so that a
 # machine which no one uses would be paid until somebody looks. The date holds after a reboot, and the time since the boot
@@ -91,17 +98,27 @@ def _config_of(name: str) -> Mapping[str, Any] | None:
 
 
 @contextlib.contextmanager
-def power_off_armed(task: Mapping[str, Any]) -> Iterator[None]:
-    """Within this, requests to launch the task turn its machine off when its longest time is over, or after a reboot."""
-    infra = str((task.get("resources") or {}).get("infra", ""))
-    if cloud_of(infra).own_end is not OwnEnd.POWER_OFF:
-        yield
-        return
+def launch_settings(task: Mapping[str, Any]) -> Iterator[None]:
+    """Within this, requests to launch the task give its machine no credentials of other clouds, and an end of its own.
+
+    Where it can be turned off by itself, that is when its longest time is over, or after a reboot.
+    """
+    cloud = cloud_of(str((task.get("resources") or {}).get("infra", "")))
+    settings: dict[str, dict[str, Any]] = {name: {REMOTE_IDENTITY: "NO_UPLOAD"} for name in _others(cloud.name)}
     with _LOCK:
-        theirs = skypilot_config.get_nested(KEYS, default_value=None) or []
-        commands = [_first_boot(power_off_s(task)), *theirs]
-        with skypilot_config.override_skypilot_config({KEYS[0]: {KEYS[1]: commands}}):
+        if cloud.own_end is OwnEnd.POWER_OFF:
+            theirs = skypilot_config.get_nested(KEYS, default_value=None) or []
+            settings[KEYS[0]] = {KEYS[1]: [_first_boot(power_off_s(task)), *theirs]}
+        with skypilot_config.override_skypilot_config(settings):
             yield
+
+
+def _others(cloud: str) -> Iterator[str]:
+    """Yield the other clouds whose credentials SkyPilot keeps back where a setting says so."""
+    own = ONE_FILE if cloud in ONE_FILE else (cloud,)
+    for name, schema in schemas.get_config_schema()["properties"].items():
+        if name not in own and REMOTE_IDENTITY in schema.get("properties", {}):
+            yield name
 
 
 def _first_boot(seconds: float | None) -> str:
