@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from fogspec.backends.protocol import Costs, SampleBackend
+from fogspec.backends.skypilot.handed_over import handed_over
 from fogspec.base import units
 from fogspec.base.errors import Refused
 from fogspec.base.units import dollars
@@ -109,9 +110,10 @@ class Quote:
             yield f"{machines}: at most {most}, for {time} at most"
 
     def unattended(self) -> Iterator[str]:
-        """Yield what becomes of machines that cost money if this computer goes off while they start."""
+        """Yield what becomes of machines that cost money if this computer goes off while they start, and what they get."""
         if self.costs is Costs.REAL:
             yield from unattended((sample.machine for sample in self.todo), self.commitment, self.name)
+            yield from handed_over(sample.machine.infra for sample in self.todo)
 
     def lines(self) -> Iterator[str]:
         """Yield a line per sample."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.backends.protocol import Work
+from fogspec.backends.skypilot.handed_over import handed_over
 from fogspec.base import digest, units
 from fogspec.base.clouds import LOCAL
 from fogspec.base.diagnostics import DiagnosticError
@@ -193,4 +194,5 @@ def as_text(plan: LaunchPlan) -> list[str]:
     lines += [
         f"  or else   {one.machine.instance} in {one.machine.infra}: {cost_words(one)}" for one in plan.candidates[1:]
     ]
-    return lines
+    given = handed_over(one.machine.infra for one in plan.candidates)
+    return lines + [f"  {'gets' if n == 0 else '':<9} {text}" for n, text in enumerate(given)]

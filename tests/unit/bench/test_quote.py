@@ -174,7 +174,8 @@ def test_what_is_spent_already_is_said(budget: float | None, spent: float, costs
 
 
 def test_what_becomes_of_machines_that_nobody_ends_is_said_where_they_cost_money() -> None:
-    (line,) = quote(ONE).unattended()
+    line, given = quote(ONE).unattended()
+    assert given.startswith("each machine gets your credentials for our-rack")
     assert "a machine on our-rack starts" in line
     assert line.endswith("until fogspec down demo")
     assert list(quote(ONE, costs=Costs.RECORDED).unattended()) == []
