@@ -71,7 +71,7 @@ def health_report(
         return None
     serving, subject = _subject(live_file)
     backend_of = cache(backend_for)
-    live = _poll(live_file, subject, backend_of)
+    live, silence = _poll(live_file, subject, backend_of)
     approved = _manifest(live_file, subject)
     files = _files_changed(sent, subject)
     differs = manifest_changes(layout, live_file, subject) + files
@@ -84,7 +84,7 @@ def health_report(
     observed = None
     if live is not None and approved is not None and live.state == "ready":
         observed = observe(live.timings, application, approved.expected, subject.machine, live.clock_s)
-    health, why = _health(subject, live, observed, approved)
+    health, why = _health(subject, live, observed, approved, silence)
     why += _another_cpu(layout, subject, live)
     packages = packages_differ(layout, subject, live)
     why += packages_text(layout.name, packages)
@@ -117,8 +117,8 @@ def health_without_spec(
         return None
     serving, subject = _subject(live_file)
     backend_of = cache(backend_for)
-    live = _poll(live_file, subject, backend_of)
-    health, why = _health(subject, live, None, None)
+    live, silence = _poll(live_file, subject, backend_of)
+    health, why = _health(subject, live, None, None, silence)
     if health == "NotJudged":
         why = ["not judged without its spec"]
     return HealthReport(
@@ -196,13 +196,14 @@ def running_changes(layout: Layout, times: WallClock, sent: Mapping[str, str]) -
 
 def _poll(
     live: DeploymentState, machine: DeployedMachine, backend_of: Callable[[str], DeploymentBackend]
-) -> DeploymentStatus | None:
+) -> tuple[DeploymentStatus | None, str]:
+    """Return the machine's status; None, and what is known, without contact."""
     try:
-        return backend_of(machine.machine.infra).poll(live.job(machine))
+        return backend_of(machine.machine.infra).poll(live.job(machine)), ""
     except LaunchRefused as no:
-        return DeploymentStatus(state="gone", detail=no.detail)
-    except (Unreachable, FogspecError):
-        return None
+        return DeploymentStatus(state="gone", detail=no.detail), ""
+    except (Unreachable, FogspecError) as lost:
+        return None, str(lost)
 
 
 def _manifest(live: DeploymentState, machine: DeployedMachine) -> Manifest | None:
@@ -215,10 +216,14 @@ def _manifest(live: DeploymentState, machine: DeployedMachine) -> Manifest | Non
 
 
 def _health(
-    machine: DeployedMachine, live: DeploymentStatus | None, observed: Observed | None, manifest: Manifest | None
+    machine: DeployedMachine,
+    live: DeploymentStatus | None,
+    observed: Observed | None,
+    manifest: Manifest | None,
+    silence: str,
 ) -> tuple[Health, list[str]]:
     if live is None:
-        return "Unknown", ["status unknown: no contact with the machine"]
+        return "Unknown", [f"status unknown: no contact with the machine{f': {silence}' if silence else ''}"]
     if live.state == "gone":
         return "Missing", [f"its machine is gone: {live.detail}" if live.detail else "its machine is gone"]
     if live.state == "ended":

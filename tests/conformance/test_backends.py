@@ -514,6 +514,24 @@ def test_requests_to_a_deployment_are_seen(deployments: Bed) -> None:
     deployments.backend.stop(job)
 
 
+@pytest.mark.parametrize("status", ["INIT", "STOPPED"])
+def test_a_machine_that_was_rebooted_or_turned_off_is_still_paid(tmp_path: Path, status: str) -> None:
+    bed = skypilot_deployments(tmp_path)
+    job = bed.job()
+    bed.backend.start(job)
+    bed.until(job, up)
+    assert bed.cloud is not None
+    bed.cloud.not_up[job.name] = status
+    if status == "INIT":
+        with pytest.raises(Unreachable, match="still paid, and SkyPilot on it does not answer, as after a reboot"):
+            bed.backend.poll(job)
+    else:
+        found = bed.backend.poll(job)
+        assert (found.state, found.detail) == ("ended", "its machine was turned off, and its disk is still paid")
+    bed.backend.stop(job)
+    assert bed.list() == []
+
+
 def test_silence_is_not_an_end(tmp_path: Path) -> None:
     cloud = Cloud(tmp_path / "cloud", fails=lambda _op, _words: Unreachable("the network is down"))
     backend = SkyPilotDeployments(SimulatedClient(cloud))  # type: ignore[arg-type]

@@ -51,6 +51,7 @@ def test_no_contact_while_it_serves(shell: Shell, cloud: Cloud) -> None:
     shell("apply", MANIFEST, "--yes")
     cloud.fails = lambda _op, _words: Unreachable("the network is down")
     assert status(shell)["health"] == "Unknown"
+    assert "status unknown: no contact with the machine: the network is down" in shell("status").out
     assert "status unknown, no contact" in shell("apply", MANIFEST, "--yes", code=6).err
     assert "the network is down" in shell("down", "demo", code=6).err
     cloud.fails = lambda _op, _words: None
@@ -59,6 +60,21 @@ def test_no_contact_while_it_serves(shell: Shell, cloud: Cloud) -> None:
     assert cloud.machines == {}
     left = [path.name for path in (shell.folder / ".fogspec/demo").iterdir()]
     assert left == ["deployment.yaml"], "the history"
+
+
+def test_a_rented_machine_that_was_rebooted_is_still_paid(shell: Shell, cloud: Cloud) -> None:
+    shell("apply", MANIFEST, "--yes")
+    (name,) = cloud.machines
+    cloud.not_up[name] = "INIT"
+    said = shell("status").out
+    assert "Unknown" in said
+    assert "it is there and still paid, and SkyPilot on it does not answer, as after a reboot" in said
+    cloud.not_up[name] = "STOPPED"
+    said = shell("status").out
+    assert "Degraded" in said
+    assert "its machine was turned off, and its disk is still paid" in said
+    shell("down", "demo")
+    assert cloud.machines == {}
 
 
 def test_an_api_server_that_dies_while_it_is_asked(shell: Shell, cloud: Cloud) -> None:

@@ -48,6 +48,9 @@ class Cloud:
     served: bool = True  # SkyPilot's API server runs before anything asks for it
     servers_ended: int = 0
     fails: Callable[[str, Mapping[str, Any]], Exception | None] = lambda _op, _words: None
+    not_up: dict[str, str] = field(
+        default_factory=dict
+    )  # SkyPilot's status of machines that are rebooted, or turned off
 
     def denied(self, clouds: Sequence[str]) -> list[str]:
         return [one for one in clouds if one in self.without_access]
@@ -99,6 +102,8 @@ class Cloud:
 
     def jobs(self, name: str) -> list[dict[str, Any]]:
         process = self._machine(name).process
+        if name in self.not_up:
+            raise CloudProblem("setup", f"Cluster {name!r} is not up: {self.not_up[name]}", again=True)
         code = None if process is None else process.poll()
         status = "PENDING" if process is None else "RUNNING" if code is None else "FAILED" if code else "SUCCEEDED"
         return [{"job": 1, "status": status, "submitted_at": 0.0, "start_at": None, "end_at": time.time()}]
@@ -111,7 +116,7 @@ class Cloud:
         return len(said)
 
     def clusters(self, prefix: str = "fogspec-", **_: Any) -> list[dict[str, Any]]:
-        return [{"name": name, "status": "UP", "ip": "192.0.2.1", "labels": dict(one.labels)}
+        return [{"name": name, "status": self.not_up.get(name, "UP"), "ip": "192.0.2.1", "labels": dict(one.labels)}
                 for name, one in self.machines.items() if name.startswith(prefix)]  # fmt: skip
 
     def waiting(self, prefix: str = "fogspec-") -> list[str]:

@@ -374,7 +374,7 @@ class SkyPilotDeployments(SkyPilotBackend):
         except CloudProblem as problem:
             if problem.gone:
                 return DeploymentStatus(state="gone", detail=problem.detail)
-            raise Unreachable(problem.detail) from None
+            return self._without_answer(job.name, problem)
         if job_status is None:
             return DeploymentStatus(state="ended", detail="its machine knows no such job")
         if job_status in OVER:
@@ -383,6 +383,20 @@ class SkyPilotDeployments(SkyPilotBackend):
         if job_status != "RUNNING":
             return DeploymentStatus(state="starting", detail=f"the job is {job_status.lower()}")
         return reported or DeploymentStatus(state="starting", detail="the nodes have not said anything yet")
+
+    def _without_answer(self, name: str, problem: CloudProblem) -> DeploymentStatus:
+        """Return the status of a machine that was turned off; raise Unreachable, with what is known of it, for any other.
+
+        SkyPilot has asked its cloud just now. After a reboot nothing of SkyPilot's or fogspec's runs on a machine.
+        """
+        status = None
+        with contextlib.suppress(CloudProblem, CloudError, Unreachable):
+            status = next((one["status"] for one in self._call("clusters", names=[name]) if one["name"] == name), None)
+        if status == "STOPPED":
+            return DeploymentStatus(state="ended", detail="its machine was turned off, and its disk is still paid")
+        if status == "INIT":
+            raise Unreachable("it is there and still paid, and SkyPilot on it does not answer, as after a reboot")
+        raise Unreachable(problem.detail)
 
     def stop(self, job: Job) -> None:
         """Terminate its machine; raise Unreachable if the cloud has not confirmed it."""
