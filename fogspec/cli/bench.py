@@ -21,7 +21,7 @@ from fogspec.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from fogspec.backends.protocol import SampleBackend
     from fogspec.base.yaml.positions import Path as Steps
@@ -363,8 +363,17 @@ def _ways_on(record: "Measured", prepared: "Prepared", runner: str, done: bool) 
     return ways
 
 
+def _where_to_look(record: "Measured") -> "Iterator[str]":
+    """Yield what lists the limit that a machine met."""
+    from fogspec.base.clouds import OwnEnd, cloud_of, quota_command
+
+    if record.reason == "quota" and (listed := quota_command(record.machine.infra)) is not None:
+        yield f"    quota: {listed} lists it; request a higher one, or measure smaller machines"
+    if record.reason == "capacity" and cloud_of(record.machine.infra).own_end is OwnEnd.POD_DEADLINE:
+        yield "    shape: a pod gets what its node allocates, less than the node has: kubectl describe nodes lists it"
+
+
 def _report(one: "LoadedSpec", prepared: "Prepared", benched: "BenchResult", output: str) -> None:
-    from fogspec.base.clouds import quota_command
     from fogspec.bench import progress
     from fogspec.language.warned import sentence
     from fogspec.results.resources import doubts, use_line
@@ -389,9 +398,7 @@ def _report(one: "LoadedSpec", prepared: "Prepared", benched: "BenchResult", out
             say(f"    warning: {sentence(doubt)}")
         if record.state != "ok" and record.id in benched.folders:
             say(f"    logs: {benched.folders[record.id]}")
-        if record.reason == "quota" and (listed := quota_command(record.machine.infra)) is not None:
-            say(f"    quota: {listed} lists it; request a higher one, or measure smaller machines")
-        say(*_fix(one, record))
+        say(*_where_to_look(record), *_fix(one, record))
         if record.state != "ok" and record not in failed:
             say(*_ways_on(record, prepared, results.spec.runner, record.id in completed(results)))
     if left := {sample.id for sample in prepared.todo} - {record.id for record in results.spec.samples}:

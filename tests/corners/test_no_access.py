@@ -228,3 +228,16 @@ def test_a_context_or_cluster_that_is_not_configured_starts_no_machine(
     assert f"problem      access     spec.infra: SkyPilot has no {place}" in checked
     cloud.known = (*known, place)
     assert "SkyPilot has access" in shell("bench", "demo", "--dry-run").out
+
+
+def test_a_shape_that_no_node_allocates_is_told_where_to_look(shell: Shell, cloud: Cloud) -> None:
+    prices = "Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region\n"
+    shell.write("offers.csv", prices + "kubernetes,8CPU--8GB,8,8,0.8,lab\n")
+    shell.write("specs/demo.yaml", spec(infra="[kubernetes/lab]"))
+    shell("compile", "specs/demo.yaml", *AT)
+    cloud.known = ("kubernetes/lab",)
+    words = "0/1 nodes are available: 1 Insufficient cpu"
+    cloud.fails = lambda op, _words: CloudProblem("capacity", words) if op == "launched" else None
+    said = bench(shell, code=1).out
+    assert words in said
+    assert "a pod gets what its node allocates, less than the node has: kubectl describe nodes lists it" in said
