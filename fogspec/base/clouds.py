@@ -44,10 +44,10 @@ class Cloud:
     `context_regions`: the region is the name of a context, which may have slashes. `attaches_gpus`: one instance type
     may carry one of several accelerators. `own_end`: see `OwnEnd`. `limits_pods`: SkyPilot limits a pod to what it requests if
     a task says so; otherwise the pod uses what its node has to spare. A new machine may be missing in the cloud's lists for
-    `visible_s` seconds. A cloud that `lists_ended` machines does so long enough to tell whether there was one. A machine is
-    billed for `least_s` seconds at least, and for each `step_s` that begins (0: by the second; None: not known). Without an
-    image, machines there have the `ubuntu` of this code name. `user_variable` tells SkyPilot an image's user where it logs in
-    to the container itself, by default as root.
+    `visible_s` seconds. A cloud that `lists_ended` machines does so long enough to tell whether there was one. One that `halts`
+    bills the disk alone of a machine that has turned itself off. A machine is billed for `least_s` seconds at least, and for
+    each `step_s` that begins (0: by the second; None: not known). Without an image, machines there have the `ubuntu` of this
+    code name. `user_variable` tells SkyPilot an image's user where it logs in to the container itself, by default as root.
 
     With a machine come a disk of `disk_gib`, of SkyPilot's own size if that is None, and a public address. Both are paid beside
     its price: `beside_usd_per_hour` (None: not known) in the regions that match `beside_in`; what others cost is assumed.
@@ -76,6 +76,7 @@ class Cloud:
     limits_pods: bool = False
     visible_s: float = 0.0
     lists_ended: bool = False
+    halts: bool = False
     least_s: float = 0.0
     step_s: float | None = None
     ubuntu: str | None = None
@@ -150,6 +151,7 @@ _ROWS = (
         own_end=OwnEnd.POWER_OFF,
         visible_s=30.0,
         lists_ended=True,
+        halts=True,
         least_s=60.0,
         step_s=0.0,
         ubuntu="jammy",
@@ -174,6 +176,7 @@ _ROWS = (
     Cloud(
         name="gcp",
         attaches_gpus=True,
+        halts=True,
         least_s=60.0,
         step_s=0.0,
         ubuntu="jammy",

@@ -89,10 +89,13 @@ def machine_s(lifetime_s: float) -> float:
 
 
 def power_off_s(task: Mapping[str, Any]) -> float | None:
-    """Return how long after its first boot a task's machine is turned off: after autostop, which ends it for good."""
+    """Return how long after its first boot, or the begin of set-up, a task's machine is turned off.
+
+    That is after autostop, which ends it for good.
+    """
     resources = task.get("resources") or {}
     autostop = resources.get("autostop") or {}
-    if cloud_of(str(resources.get("infra", ""))).own_end is not OwnEnd.POWER_OFF or autostop.get("wait_for") != "none":
+    if not cloud_of(str(resources.get("infra", ""))).halts or autostop.get("wait_for") != "none":
         return None
     return machine_s(float(autostop["idle_minutes"]) * 60)
 

@@ -17,7 +17,7 @@ from sky.client import sdk  # `sky.check` is a module
 
 from fogspec.backends.skypilot import secrets_file
 from fogspec.backends.skypilot.errors import CloudProblem, classify
-from fogspec.backends.skypilot.internals import await_gone, launch_settings
+from fogspec.backends.skypilot.internals import await_gone, launch_settings, with_own_end
 from fogspec.base.project_files import ProjectFiles
 
 PREFIX = "fogspec-"
@@ -71,7 +71,7 @@ def infras() -> list[str]:
 
 def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
     """Request the task on a new machine of this name; return the request's id."""
-    given = _with_secrets(_absolute(task, Path(root)), _ours(name))
+    given = with_own_end(_with_secrets(_absolute(task, Path(root)), _ours(name)))
     try:
         wanted = sky.Task.from_yaml_config(given)
         _afford(wanted, task)

@@ -32,7 +32,7 @@ def handed_over(places: Iterable[str]) -> Iterator[str]:
     login = _google_login()
     if "gcp" in given and _json(login).get("type") == "authorized_user":
         yield (
-            f"{login} is a person's login: where it expires, nothing ends a machine on gcp but fogspec; "
+            f"{login} is a person's login: where it expires, SkyPilot's autostop cannot end a machine on gcp; "
             "to mend that, put gcp: {remote_identity: SERVICE_ACCOUNT} into ~/.sky/config.yaml"
         )
 

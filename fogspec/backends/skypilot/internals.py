@@ -8,10 +8,10 @@ cloud has accepted the request, and does not verify the result: in 0.14.1 the ch
 query a machine without a record, but its configuration stays in the API server's database. A launch that was cut off may leave
 a machine that the cloud does not list yet.
 
-Timers, set by a machine's first boot, that turn it off: an end without any supervisor, which a reboot does not undo. SkyPilot
-arms autostop once a machine has booted and has its files. Until then, only what the cloud does with the machine's user data can
-end it. On AWS SkyPilot adds the commands of `aws.post_provision_runcmd` to the user data. A task cannot set them; the client's
-configuration can, which goes along with each request.
+Timers, set by a machine's first boot, or else its set-up, that turn it off: an end without any supervisor, which a reboot does
+not undo. SkyPilot arms autostop once a machine has booted and has its files. Until then, only what the cloud does with the
+machine's user data can end it. On AWS SkyPilot adds the commands of `aws.post_provision_runcmd` to the user data. A task cannot
+set them; the client's configuration can, which goes along with each request.
 
 Credentials that stay here. SkyPilot copies to each machine those of all clouds that this computer has, not only of the
 machine's own, with which it ends itself (0.14.1: `check.get_cloud_credential_file_mounts`). The same configuration keeps
@@ -38,9 +38,9 @@ KEYS = ("aws", "post_provision_runcmd")
 REMOTE_IDENTITY = "remote_identity"
 ONE_FILE = ("kubernetes", "ssh")  # both have their credentials in one file
 REBOOTED_S = 900.0  # time to log in to a machine that one has rebooted
-# Of a machine's first boot. Its units stay on its disk: nothing starts job, skylet and autostop again after a reboot, so that a
-# machine which no one uses would be paid until somebody looks. The date holds after a reboot, and the time since the boot
-# where the clock was wrong.
+# Of a machine's first boot, or the begin of its set-up. Its units stay on its disk: nothing starts job, skylet and autostop
+# again after a reboot, so that a machine which no one uses would be paid until somebody looks. The date holds after a reboot,
+# and the time since the boot where the clock was wrong.
 FIRST_BOOT = """\
 units=/etc/systemd/system
 unit() { printf '%s\\n' '[Unit]' 'Description=fogspec ends this machine' "$@" >"$units/$unit"; }
@@ -113,6 +113,16 @@ def launch_settings(task: Mapping[str, Any]) -> Iterator[None]:
             yield
 
 
+def with_own_end(task: dict[str, Any]) -> dict[str, Any]:
+    """Return the task with a set-up that begins with those timers, where user data cannot; in a container nothing can."""
+    resources = task.get("resources") or {}
+    cloud = cloud_of(str(resources.get("infra", "")))
+    if not cloud.halts or cloud.own_end is OwnEnd.POWER_OFF or resources.get("image_id"):
+        return task
+    armed = f"{_first_boot(power_off_s(task), 'sudo -n sh')} || echo 'this machine does not turn itself off' >&2"
+    return {**task, "setup": f"{armed}\n{task.get('setup') or ''}"}
+
+
 def _others(cloud: str) -> Iterator[str]:
     """Yield the other clouds whose credentials SkyPilot keeps back where a setting says so."""
     own = ONE_FILE if cloud in ONE_FILE else (cloud,)
@@ -121,11 +131,11 @@ def _others(cloud: str) -> Iterator[str]:
             yield name
 
 
-def _first_boot(seconds: float | None) -> str:
-    """Return the command that turns a machine off so long after its first boot (None: never), and after each later one.
+def _first_boot(seconds: float | None, shell: str = "sh") -> str:
+    """Return the command that turns a machine off so long after it ran (None: never), and after each later boot.
 
     SkyPilot writes it into YAML as it stands: it has no character that means something there.
     """
     script = FIRST_BOOT.replace("@REBOOTED_S@", f"{REBOOTED_S:.0f}")
     script = script.replace("@SECONDS@", "" if seconds is None else f"{seconds:.0f}")
-    return f"echo {base64.b64encode(script.encode()).decode()} | base64 -d | sh"
+    return f"echo {base64.b64encode(script.encode()).decode()} | base64 -d | {shell}"

@@ -75,7 +75,7 @@ def test_a_persons_login_to_google_may_expire_before_the_machine_ends(home: Path
     assert len(said) == 1 + expires
     if expires:
         assert said[1].startswith(
-            f"{path} is a person's login: where it expires, nothing ends a machine on gcp but fogspec"
+            f"{path} is a person's login: where it expires, SkyPilot's autostop cannot end a machine on gcp"
         )
         assert not any("not-a-real-one" in line for line in said)
         assert len(list(handed_over(["aws"]))) == 1

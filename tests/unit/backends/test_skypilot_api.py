@@ -85,6 +85,10 @@ class Sky:
         sky.exceptions = SimpleNamespace(ClusterDoesNotExist=ClusterDoesNotExist, ClusterNotUpError=ValueError)
         sky.skypilot_config = SimpleNamespace(get_nested=self.nested, override_skypilot_config=self.overridden)
         sky.global_user_state = SimpleNamespace(get_cluster_yaml_dict=self.config_of)
+        schema = {one: {"properties": {"remote_identity": {}}} for one in ("aws", "gcp", "azure")}
+        sky.utils = SimpleNamespace(
+            schemas=SimpleNamespace(get_config_schema=lambda: {"properties": schema | {"lambda": {}}})
+        )
         sky.client = SimpleNamespace(sdk=SimpleNamespace(check=self.check, enabled_clouds=self.enabled_clouds))
         sky.provision = SimpleNamespace(query_instances=self.instances, terminate_instances=self.terminated)
         return sky
@@ -177,6 +181,7 @@ def api(sky: Sky, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The product's module, imported beside these books."""
     monkeypatch.setitem(sys.modules, "sky", sky.module())
     monkeypatch.setitem(sys.modules, "sky.client", sys.modules["sky"].client)
+    monkeypatch.setitem(sys.modules, "sky.utils", sys.modules["sky"].utils)
     kept = {name: sys.modules.pop(f"fogspec.backends.skypilot.{name}", None) for name in MODULES}
     clock = SimpleNamespace(sleep=sky.sleep, monotonic=lambda: sky.now_s, time=lambda: sky.now_s)
     internals = importlib.import_module("fogspec.backends.skypilot.internals")
@@ -629,6 +634,10 @@ def first_boot(sky: Sky, folder: Path, enable: int = 0) -> list[str]:
     (command, *theirs) = sky.configured["aws"]["post_provision_runcmd"]
     assert theirs == (sky.commands or [])
     assert re.fullmatch(r"echo [A-Za-z0-9+/=]+ [|] base64 -d [|] sh", command), "it is YAML as it stands"
+    return run_script(command, folder, enable)
+
+
+def run_script(command: str, folder: Path, enable: int = 0) -> list[str]:
     script = base64.b64decode(command.split()[1]).decode().replace("/etc/systemd/system", str(folder))
     for name in ("systemctl", "systemd-run"):
         (folder / name).write_text(f'#!/bin/sh\necho {name} "$@"\n[ "$1" != enable ] || exit {enable}\n')
@@ -685,10 +694,46 @@ def test_a_deployment_without_an_end_on_aws_turns_off_after_a_reboot_alone(api: 
     verified(tmp_path)
 
 
-@pytest.mark.parametrize("task", [sample_task(infra="gcp/r1"), {"run": "x"}, {"run": "x", "resources": {}}])
-def test_other_clouds_have_no_such_timer(api: Any, sky: Sky, task: dict[str, Any]) -> None:
+@pytest.mark.parametrize("setup", [None, "bash setup.sh"])
+def test_a_machine_on_google_cloud_turns_itself_off_from_its_set_up_on(
+    api: Any, sky: Sky, tmp_path: Path, setup: str | None
+) -> None:
+    """Where its login has expired, or it was rebooted, nothing else ends it."""
+    task = sample_task(infra="gcp/r1") | ({} if setup is None else {"setup": setup})
     api.launch(task, NAME, "/")
-    assert sky.configured is None
+    command, _, theirs = sky.task["setup"].partition("\n")
+    assert theirs == (setup or "")
+    assert command.endswith("| sudo -n sh || echo 'this machine does not turn itself off' >&2")
+    assert run_script(command, tmp_path) == [
+        "systemctl enable fogspec-rebooted.timer", "systemctl enable --now fogspec-end.timer",
+    ]  # fmt: skip
+    assert "\nOnBootSec=1080\n" in (tmp_path / "fogspec-end.timer").read_text()
+    verified(tmp_path)
+    (tmp_path / "later").mkdir()
+    api.launch(sample_task(infra="gcp/r1", wait_for="jobs"), NAME, "/")
+    command = sky.task["setup"].partition("\n")[0]
+    assert run_script(command, tmp_path / "later") == ["systemctl enable fogspec-rebooted.timer"]
+
+
+IN_A_CONTAINER = {"infra": "gcp/r1", "image_id": "docker:ros:jazzy"}
+
+
+@pytest.mark.parametrize(
+    "resources", [{"infra": "azure/r1"}, {"infra": "lambda"}, IN_A_CONTAINER, {"infra": "slurm"}, {}]
+)
+def test_other_machines_have_no_such_timer(api: Any, sky: Sky, resources: dict[str, Any]) -> None:
+    """Elsewhere one that has turned itself off is paid as before, and a container cannot."""
+    api.launch({"run": "x", "resources": resources}, NAME, "/")
+    assert "setup" not in sky.task
+    assert "post_provision_runcmd" not in sky.configured["aws"]
+
+
+@pytest.mark.parametrize("cloud", ["aws", "gcp", "azure", "lambda"])
+def test_no_machine_gets_the_credentials_of_another_cloud(api: Any, sky: Sky, cloud: str) -> None:
+    api.launch(sample_task(infra=f"{cloud}/r1"), NAME, "/")
+    kept = {name for name, of in sky.configured.items() if of.get("remote_identity") == "NO_UPLOAD"}
+    assert kept == {"aws", "gcp", "azure"} - {cloud}
+    assert sky.override is None, "the next launch is another one's"
 
 
 # Access

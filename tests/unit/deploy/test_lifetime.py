@@ -91,7 +91,8 @@ POD = {"pod_config": {"spec": {"activeDeadlineSeconds": 7500}}}
     ("infra", "config", "off_s"),
     [
         ("aws/us-east-1", None, 7500.0),
-        ("gcp/us-central1", None, None),
+        ("gcp/us-central1", None, 7500.0),
+        ("azure/eastus", None, None),
         ("slurm/lab/cpu", {"slurm": {"sbatch_options": {"time": 125}}}, None),
         ("kubernetes", {"kubernetes": {"set_pod_resource_limits": True, **POD}}, None),
         ("ssh/pool", {"ssh": POD}, None),
