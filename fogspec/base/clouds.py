@@ -55,8 +55,9 @@ class Cloud:
     per vCPU and hour.
 
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
-    whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
-    price list does not name it, and of types whose CPU is guaranteed for part of the time only; `generation`: of a
+    whose groups are its family's name. So are `accelerated`, `burstable`, `bare_metal`: of instance types with an
+    accelerator, even if a price list does not name it, of types whose CPU is guaranteed for part of the time only, and of whole
+    servers; `generation`: of a
     family, with the groups `series` and `number` (1 if it is empty); `previous`: of the families that the cloud itself
     calls previous generations; `platform`: of a family, whose groups are the same for all families with the same CPU;
     `unstartable`: of instance types that do not support the disk type, the image or the end that SkyPilot requests for them.
@@ -91,6 +92,7 @@ class Cloud:
     family: str | None = None
     accelerated: str | None = None
     burstable: str | None = None
+    bare_metal: str | None = None
     generation: str | None = None
     previous: str | None = None
     platform: str | None = None
@@ -163,6 +165,7 @@ _ROWS = (
         arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
         accelerated=r"(dl|f|g|gr|inf|p|trn|vt)\d",
         burstable=r"t\d|[a-z]\d[a-z]*-flex\.",
+        bare_metal=r".*\.metal",
         generation=r"(?P<series>[a-z]+)(?P<number>\d*)",
         previous=r"a1|c[134]|cc2|cr1|d2|hs1|i2|m[1-4]|r[34]|t1",
         platform=r"[a-z]+(\d.*)",
@@ -187,6 +190,7 @@ _ROWS = (
         arm=r"(t2a|c4a|n4a|a4x)-",
         accelerated=r"(a2|a3|a4|a4x|g2|g4)-|n1-.*-tpu$|ct\d",
         burstable=r"(f1|g1)-|e2-(micro|small|medium)$",
+        bare_metal=r".*-metal$",
         generation=r"(?P<series>[a-z])(?P<number>\d)",
         previous=r"m1|n1",
         platform=r"(.*)",
@@ -220,8 +224,8 @@ _ROWS = (
             ' --ids "$(az vm list --show-details --query "[?publicIps==\'{address}\'].id" --output tsv)"'
         ),
     ),
-    Cloud(name="oci", containers=False, least_s=60.0, step_s=0.0),
-    Cloud(name="ibm", containers=False, opens_ports=False),
+    Cloud(name="oci", containers=False, bare_metal=r"BM\.", least_s=60.0, step_s=0.0),
+    Cloud(name="ibm", containers=False, bare_metal=r".*-metal-", opens_ports=False),
     Cloud(name="lambda", step_s=60.0, beside_usd_per_hour=0.0, arm=r".*(gh200|gb\d00)"),
     Cloud(name="runpod", step_s=0.0, maps_ports=True, ubuntu="jammy", user_variable="SKYPILOT_RUNPOD_DOCKER_USERNAME"),
     Cloud(name="nebius", ubuntu="noble"),

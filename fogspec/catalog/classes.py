@@ -68,7 +68,16 @@ def left_out(offers: Catalog) -> dict[MachineClass, Mask]:
         "previous-generation": previous,
         "burstable": bursts,
         "low-memory": _low_memory(offers) & ~previous & ~bursts,
+        "bare-metal": plain & _bare_metal(offers) & ~previous,
     }
+
+
+def _bare_metal(offers: Catalog) -> Mask:
+    """Return the mask of whole servers, without a hypervisor."""
+    found = np.zeros(len(offers), dtype=np.bool_)
+    for cloud, here in _clouds(offers):
+        found |= here & _matching(offers.instance, cloud.bare_metal)
+    return found
 
 
 def _low_memory(offers: Catalog) -> Mask:

@@ -44,7 +44,7 @@ ADDED = ("launch", "composable_node_descriptions")  # to Node, after results wer
 INTERRUPTIONS_PER_S = 0.05 / 3600
 Statistic = Literal["mean", "p50", "p95", "p99"]
 Billing = Literal["busy", "provisioned"]
-MachineClass = Literal["previous-generation", "burstable", "low-memory"]
+MachineClass = Literal["previous-generation", "burstable", "low-memory", "bare-metal"]
 Sampler = Literal["grid", "adaptive", "list"]
 STANDARD = "standard"  # machines of no such class
 NO_LIBRARY = "none"
@@ -368,7 +368,7 @@ class Hardware(Strict):
         min_length=1,
         description="only these machines: instance types, where * matches any text, or classes: burstable (a CPU that is "
         "guaranteed for part of the time only), previous-generation, low-memory (a virtual machine with less than 4 GiB, of "
-        "which SkyPilot takes up to 1), and standard, all others",
+        "which SkyPilot takes up to 1), bare-metal (which boots for 5 to 15 minutes), and standard, all others",
         examples=[["c6i.*", "m6i.*"], [STANDARD, "burstable"]],
     )
     deny: list[str] = Field(

@@ -92,15 +92,23 @@ def test_a_gpu_is_admitted_whatever_the_generation_of_its_host() -> None:
         ("azure", "Standard_A4m_v2", "previous"),
         ("gcp", "n1-highmem-8", "previous"), ("aws", "r3.large", "previous"), ("aws", "a1.large", "previous"),
         ("aws", "c6i.large", ""), ("aws", "g.large", ""), ("azure", "Standard_D4ads_v5", ""), ("gcp", "e2-standard-4", ""),
+        ("aws", "c7i.metal-48xl", "metal"), ("aws", "c6id.metal", "metal"), ("gcp", "c3-standard-192-metal", "metal"),
+        ("oci", "BM.Standard.E5.192$_192_2304", "metal"), ("ibm", "bx2-metal-96x384", "metal"), ("aws", "m4.metal", "previous"),
         ("gcp", "c4-standard-4", ""), ("lambda", "gpu_1x_a10", ""), ("slurm", "t3.large", ""),
     ],
 )  # fmt: skip
 def test_what_the_name_of_a_machine_tells(cloud: str, instance: str, what: str) -> None:
     one = table(f"{instance},,,4,16,0.1,,r1,", cloud=cloud)
-    previous = left_out(one)["previous-generation"][0]
-    assert (accelerated(one)[0], burstable(one)[0], previous) == tuple(
-        what == name for name in ("accelerated", "burstable", "previous")
-    )
+    left = left_out(one)
+    found = (accelerated(one)[0], burstable(one)[0], left["previous-generation"][0], left["bare-metal"][0])
+    assert found == tuple(what == name for name in ("accelerated", "burstable", "previous", "metal"))
+
+
+def test_bare_metal_is_a_candidate_where_a_gpu_is_named() -> None:
+    rows = ["g4dn.metal,T4,8,96,384,7.8,,us-east-1,a", "c7i.metal-48xl,,,192,384,8.6,,us-east-1,a", *OFFERS]
+    assert names(*rows, hardware=Hardware(gpus=["T4:8"])) == ["g4dn.metal"]
+    assert "c7i.metal-48xl" not in names(*rows)
+    assert "c7i.metal-48xl" in names(*rows, hardware=Hardware(allow=["standard", "bare-metal"]))
 
 
 def test_families_of_one_kind_of_cpu() -> None:
