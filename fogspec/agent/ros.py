@@ -23,6 +23,12 @@ CYCLONE = (
     "<CycloneDDS><Domain><Discovery><ParticipantIndex>auto</ParticipantIndex>"
     "<MaxAutoParticipantIndex>119</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
 )
+# Where a graph is, and whom its nodes ask for others. docs.ros.org, "The ROS_DOMAIN_ID", "Improved Dynamic Discovery";
+# fast-dds.docs.eprosima.com, "Discovery Server settings".
+GRAPH = (
+    "ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER",
+    "ROS_SUPER_CLIENT", "ROS2_EASY_MODE",
+)  # fmt: skip
 RELIABLE = 1  # of rmw_qos_reliability_policy_t
 
 
@@ -43,13 +49,15 @@ def need_rclpy(module: str, arguments: Sequence[str]) -> None:
 
 
 def alone(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return the environment with a ROS graph of this sample's own, unless it says otherwise.
+    """Return the environment with a ROS graph of this sample's own, whatever it says.
 
-    Machines of one network, and other programs on this one, would be heard by the measured nodes, and answered.
+    Machines of one network, and other programs on this one, would be heard by the measured nodes, and answered: a robot whose
+    domain the shell has would be driven.
     """
     humble = environment.get("ROS_DISTRO") == "humble"
     local = {"ROS_LOCALHOST_ONLY": "1"} if humble else {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    return {"ROS_DOMAIN_ID": str(_unused_domain()), "CYCLONEDDS_URI": CYCLONE, **local, **environment}
+    rest = {name: value for name, value in environment.items() if name not in GRAPH}
+    return {"CYCLONEDDS_URI": CYCLONE, **rest, **local, "ROS_DOMAIN_ID": str(_unused_domain())}
 
 
 def _unused_domain() -> int:

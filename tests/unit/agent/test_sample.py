@@ -54,22 +54,28 @@ def test_stops_by_steps_warm_up_not_counted(tmp_path):
         ({"ROS_DISTRO": "jazzy"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}),
         ({"ROS_DISTRO": "humble"}, {"ROS_LOCALHOST_ONLY": "1"}),
         (
-            {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
-            {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+            {
+                "ROS_DOMAIN_ID": "187",
+                "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+                "ROS_STATIC_PEERS": "192.0.2.1",
+                "ROS_DISCOVERY_SERVER": "192.0.2.1:11811",
+                "ROS_SUPER_CLIENT": "1",
+                "ROS2_EASY_MODE": "192.0.2.1",
+            },
+            {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         ),
+        ({"ROS_DISTRO": "humble", "ROS_LOCALHOST_ONLY": "0"}, {"ROS_LOCALHOST_ONLY": "1"}),
         ({"ROS_DISTRO": "humble", "CYCLONEDDS_URI": "file:///mine.xml"}, {"ROS_LOCALHOST_ONLY": "1"}),
     ],
 )
-def test_a_sample_has_a_ros_graph_of_its_own_unless_it_is_said(tmp_path, given, expected):
+def test_a_sample_has_a_ros_graph_of_its_own_whatever_the_shell_has(tmp_path, given, expected):
+    """A robot of the shell's domain is neither heard nor driven."""
     tell = f"json.dump(dict(os.environ), open({str(tmp_path / 'environment')!r}, 'w'))\n{FOREVER}"
     run(tmp_path, tell, environment={"PATH": "/usr/bin:/bin", **given})
     found = json.loads((tmp_path / "environment").read_text())
     assert 1 <= int(found.pop("ROS_DOMAIN_ID")) <= 101
-    assert {name: found[name] for name in found if name.startswith("ROS_")} == {
-        name: value
-        for name, value in {**given, **expected}.items()
-        if name.startswith("ROS_") and name != "ROS_DOMAIN_ID"
-    }
+    distro = {name: value for name, value in given.items() if name == "ROS_DISTRO"}
+    assert {name: found[name] for name in found if name.startswith("ROS")} == {**distro, **expected}
     assert found["CYCLONEDDS_URI"] == given.get("CYCLONEDDS_URI", ros.CYCLONE)
     assert [one.text for one in ElementTree.fromstring(ros.CYCLONE).iter() if one.text] == ["auto", "119"]
 
