@@ -110,7 +110,7 @@ class Quote:
             yield f"{machines}: at most {most}, for {time} at most"
 
     def unattended(self) -> Iterator[str]:
-        """Yield what becomes of machines that cost money if this computer goes off while they start, and what they get."""
+        """Yield what happens to machines that cost money if this computer goes off while they start, and what they get."""
         if self.costs is Costs.REAL:
             yield from unattended((sample.machine for sample in self.todo), self.commitment, self.name)
             yield from handed_over(sample.machine.infra for sample in self.todo)

@@ -43,7 +43,8 @@ PULL_S_PER_GIB = 90.0
 GIB = 2**30
 # OCI Image Specification, "Image Index" and "Image Configuration": GOARCH's names.
 ARCHITECTURES = {"x86_64": "amd64", "arm64": "arm64"}
-ROOT = ("", "0", "root", "0:0", "root:root", "0:root", "root:0")  # as `USER` has it
+ROOT = ("", "0", "root")
+MOST_LAYER_BYTES = 2**50  # a larger size is none
 BLOB = re.compile(r"sha256:[0-9a-f]{64}")
 PARAMETER = re.compile(r'(\w+)="([^"]*)"')
 
@@ -97,7 +98,11 @@ class Registry:
 
 def _check_user(name: str, user: str, use: ImageUse) -> None:
     variable = use.user_variable
-    if variable is None or user in ROOT or (variable in use.secrets and os.environ.get(variable) == user):
+    if (
+        variable is None
+        or user.partition(":")[0] in ROOT
+        or (variable in use.secrets and os.environ.get(variable) == user)
+    ):
         return
     raise InvalidInput(
         f"{name}: its USER is {visible(user)}, and SkyPilot logs in as root where machines are containers",
@@ -188,7 +193,7 @@ def _build(image: Image, manifest: Mapping[str, Any], login: Credentials | None,
     """Return what a manifest and its configuration say; `cpu` is the one that the index gave."""
     layers, config = manifest.get("layers"), manifest.get("config")
     sizes = [one.get("size") for one in layers if isinstance(one, dict)] if isinstance(layers, list) else []
-    compressed_bytes = sum(size for size in sizes if isinstance(size, int) and size > 0)
+    compressed_bytes = sum(size for size in sizes if isinstance(size, int) and 0 < size < MOST_LAYER_BYTES)
     digest = str(config.get("digest")) if isinstance(config, dict) else ""
     if not BLOB.fullmatch(digest):
         return Build(cpu, compressed_bytes)

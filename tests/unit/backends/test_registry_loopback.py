@@ -387,7 +387,7 @@ def test_a_large_image_needs_time_to_be_pulled(servers: Any, docker: Any, cpus: 
     assert refused.value.hints[0].startswith(f"set {timeout}: 19min, and compile again")
 
 
-@pytest.mark.parametrize("sizes", [("9999999999",), (-5, 10), (None,)])
+@pytest.mark.parametrize("sizes", [("9999999999",), (-5, 10), (None,), (10**400,)])
 def test_a_size_that_is_none_is_not_known(servers: Any, docker: Any, sizes: tuple[Any, ...]) -> None:
     one = servers()
     docker({})
@@ -401,6 +401,8 @@ def test_a_size_that_is_none_is_not_known(servers: Any, docker: Any, sizes: tupl
         ("", None, True),
         ("root", None, True),
         ("0:0", None, True),
+        ("root:1000", None, True),
+        ("1000:root", None, False),
         (7, None, True),
         ("ros", None, False),
         ("1000", None, False),
