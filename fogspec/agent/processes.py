@@ -87,26 +87,41 @@ class Ends:
     def __init__(self) -> None:
         self.ready, self.watched = select.epoll(), dict[int, subprocess.Popen[bytes]]()
         self.others: list[subprocess.Popen[bytes]] = []
+        self.seen: list[subprocess.Popen[bytes]] = []
 
     def watch(self, process: "subprocess.Popen[bytes]") -> None:
-        """Watch a process that was started just now."""
+        """Watch a process that was started just now, after a `look` for those that ended before its start.
+
+        The order is not known of what ended between its start and this call. If it did so itself, it is the first: others end
+        for lack of it.
+        """
         try:
             file = os.pidfd_open(process.pid)
             self.ready.register(file, select.EPOLLIN)
             self.watched[file] = process
         except OSError:  # before Linux 5.3
             self.others.append(process)
+            return
+        if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+            self._take(file)
+
+    def look(self) -> None:
+        """Remember the order of the ends until now."""
+        for file, _ in self.ready.poll(0):
+            self._take(file)
+        self.seen += [one for one in self.others if one.poll() is not None]
+        self.others = [one for one in self.others if one not in self.seen]
 
     def new(self) -> "list[subprocess.Popen[bytes]]":
         """Return the processes that have ended since the last call, the first one first."""
-        found = []
-        for file, _ in self.ready.poll(0):
-            self.ready.unregister(file)
-            os.close(file)
-            found.append(self.watched.pop(file))
-        found += [one for one in self.others if one.poll() is not None]
-        self.others = [one for one in self.others if one not in found]
+        self.look()
+        found, self.seen = self.seen, []
         return found
+
+    def _take(self, file: int) -> None:
+        self.ready.unregister(file)
+        os.close(file)
+        self.seen.append(self.watched.pop(file))
 
 
 def finish(children: list[subprocess.Popen[bytes]]) -> None:

@@ -190,6 +190,7 @@ class SampleRun:
         extract(self.out)
         self.timings.path.write_bytes(b"")
         for number, argv in enumerate(self.options.process):
+            self.ends.look()
             try:
                 self.children.append(self._started(argv, self._log(number), self.options.commands[number]))
             except OSError as problem:

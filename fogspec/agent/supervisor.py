@@ -195,6 +195,7 @@ class Supervisor:
                 self.asks = self._popen(self.options.asks, to=log)
 
     def _start(self, one: Kept) -> None:
+        self.ends.look()
         one.process, one.due_s = self._popen(one.argv, one.name if one.marked else None), None
         one.started_s = self.started_s = time.monotonic()
         self.ends.watch(one.process)

@@ -1,6 +1,7 @@
 """Which end of a process ends the deployment, and how long a restart waits; times are given, none is waited for."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -120,6 +121,29 @@ def test_the_node_that_ended_first_is_the_cause(tmp_path: Path) -> None:
         given += ["--process", json.dumps({"argv": argv, "name": name})]
     subprocess.run([sys.executable, str(AGENT), "supervisor", "--out", "out", *given], cwd=tmp_path, timeout=600)
     assert json.loads((tmp_path / "out" / "state.json").read_text())["detail"] == "slam was killed (SIGKILL)"
+
+
+def test_what_ends_before_it_can_be_watched_is_the_cause_of_what_ends_after_it() -> None:
+    def started(code: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
+
+    def end(one: subprocess.Popen[bytes]) -> None:
+        one.kill()
+        os.waitid(os.P_PID, one.pid, os.WEXITED | os.WNOWAIT)
+
+    ends = processes.Ends()
+    early, client, slam = (started("input()") for _ in range(3))
+    for one in (early, client):
+        ends.watch(one)
+    end(early)
+    ends.look()  # before slam is started
+    end(slam)
+    end(client)
+    ends.watch(slam)
+    assert ends.new() == [early, slam, client]
+    assert ends.new() == []
+    for one in (early, client, slam):
+        one.communicate()
 
 
 @pytest.mark.parametrize(
