@@ -8,6 +8,10 @@ LAB := $(BIN)/fogspec-lab
 TEST_ARGS ?= -n 3
 # Thousands of processes import the same modules.
 export PYTHONDONTWRITEBYTECODE :=
+# uv keeps downloads below HOME, where it may not write.
+ifneq ($(shell test -w "$$HOME" && echo writable),writable)
+export UV_NO_CACHE := 1
+endif
 
 .DEFAULT_GOAL := help
 .PHONY: help demo check test engines image-root aws-env oldest-env aws-shell aws-faults aws-figures slurm-shell slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated seal bytes docs unit coverage faults size figures evaluation damaged-specs mutation lock clean

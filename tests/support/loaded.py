@@ -24,7 +24,7 @@ from tests.support.forking import become, load
 
 # It passes on what asks it to end, and ends as what it stands for.
 PROGRAM = """\
-#!{python} -IS
+#!/usr/bin/env -S "{python}" -IS
 import array, json, os, signal, socket, sys
 one = socket.socket(socket.AF_UNIX)
 one.connect({place!r})

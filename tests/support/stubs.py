@@ -18,7 +18,7 @@ from tests.support.launching import Entity, launched
 
 LONGEST_S = 1200.0  # a bound against hangs
 STUB = """\
-#!{python} -IS
+#!/usr/bin/env -S "{python}" -IS
 import json, os, sys, time
 name, words = os.path.basename(sys.argv[0]), sys.argv[1:]
 if name == "ros2" and words[:1] == ["run"]:
