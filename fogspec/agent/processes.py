@@ -8,6 +8,7 @@ import select
 import shlex
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,9 +33,9 @@ START += "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)
 
 
 def apart(argv: list[str]) -> list[str]:
-    """Return the command; a program of this package is started so that it imports nothing from the working folder."""
+    """Return the command; a program of this package runs in this Python, and imports nothing from the working folder."""
     ours = argv[1:2] == ["-m"] and argv[2:3] and argv[2].startswith(OURS)
-    return [argv[0], "-c", START, *argv[2:]] if ours else argv
+    return [sys.executable, "-c", START, *argv[2:]] if ours else argv
 
 
 def program(argv: list[str]) -> str:

@@ -90,7 +90,11 @@ def write(limit_s: float | None) -> None:
 def run(verb: str, *words: str) -> int:
     """Run a command of fogspec's in the project, shown as a user types it; return its exit code."""
     say("", f"$ fogspec {' '.join((verb, *words))}")
-    return subprocess.run([*FOGSPEC, verb, *words], cwd=PROJECT, check=False).returncode
+    # As in a shell where this environment is active: the planner needs its packages.
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+    return subprocess.run(
+        [*FOGSPEC, verb, *words], cwd=PROJECT, check=False, env={**os.environ, "PATH": path}
+    ).returncode
 
 
 def chosen() -> dict[str, Any]:

@@ -18,5 +18,5 @@ fi
 agent=${FOGSPEC_AGENT:-$HOME/.fogspec/agent.pyz}
 out=${FOGSPEC_OUT:-$HOME/.fogspec/deployment}
 rm -rf -- "$out"
-exec python3 "$agent" supervisor --out "$out" \
+exec "${FOGSPEC_PYTHON:-python3}" "$agent" supervisor --out "$out" \
   --process '{"argv": ["python3", "planner.py", "--planners", "8", "--samples", "2000"], "name": "python3 planner.py"}'

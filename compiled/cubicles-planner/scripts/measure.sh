@@ -18,7 +18,7 @@ if [ -n "${SKYPILOT_TASK_ID:-}" ]; then
 fi
 agent=${FOGSPEC_AGENT:-$HOME/.fogspec/agent.pyz}
 out=${FOGSPEC_OUT:-$HOME/.fogspec/out}
-measure=(timeout --kill-after=30 780 python3 "$agent" sample --out "$out" --after 180 --warmup 2 --startup 300 --steps 24 --callback plan --expect path_length_m 'value of metric path_length as path_length_m' 20 --statistic mean \
+measure=(timeout --kill-after=30 780 "${FOGSPEC_PYTHON:-python3}" "$agent" sample --out "$out" --after 180 --warmup 2 --startup 300 --steps 24 --callback plan --expect path_length_m 'value of metric path_length as path_length_m' 20 --statistic mean \
   --process '{"argv": ["python3", "planner.py", "--planners", "8", "--samples", "2000"], "name": "python3 planner.py"}' \
   "$@")
 # With FOGSPEC_OUT its directory is read; otherwise the same lines of JSON are in the log.

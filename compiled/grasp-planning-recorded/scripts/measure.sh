@@ -27,7 +27,7 @@ fi
 set -u
 agent=${FOGSPEC_AGENT:-$HOME/.fogspec/agent.pyz}
 out=${FOGSPEC_OUT:-$HOME/.fogspec/out}
-measure=(timeout --kill-after=30 900 python3 "$agent" sample --out "$out" --after 300 --warmup 1 --startup 300 --steps 200 --callback /gqcnn/grasp_pose --statistic mean \
+measure=(timeout --kill-after=30 900 "${FOGSPEC_PYTHON:-python3}" "$agent" sample --out "$out" --after 300 --warmup 1 --startup 300 --steps 200 --callback /gqcnn/grasp_pose --statistic mean \
   --process '["python3", "-m", "fogspec_agent.topics", "--request", "/gqcnn/image_compressed", "--response", "/gqcnn/grasp_pose", "--match", "last_response"]' \
   --process '{"argv": ["ros2", "launch", "gqcnn_ros", "planner.launch.py"], "name": "ros2 launch"}' \
   --process '{"argv": ["ros2", "launch", "gqcnn_ros", "client.launch.py"], "name": "ros2 launch"}' \

@@ -34,7 +34,7 @@ bash "$link" cloud keys > "$out/link.pub" || exit 1
 printf '%s\n' "${FOGSPEC_LINK_PEER:-}" | bash "$link" cloud peer || exit 1
 bash "$link" cloud start || exit 1
 export RMW_IMPLEMENTATION=rmw_zenoh_cpp
-exec python3 "$agent" supervisor --out "$out" \
+exec "${FOGSPEC_PYTHON:-python3}" "$agent" supervisor --out "$out" \
   --process '["sh", "-c", "exec bash \"${FOGSPEC_LINK:-$HOME/.fogspec/link}/link.sh\" cloud up"]' \
   --process '["sh", "-c", "exec ros2 launch \"${FOGSPEC_LAUNCH:-$HOME/.fogspec/launch}/cloud.launch.py\""]' \
   --listener '["python3", "-m", "fogspec_agent.topics", "--request", "/robot_mesh", "--response", "/motion_plan", "--match", "first_request"]'

@@ -27,7 +27,7 @@ fi
 set -u
 agent=${FOGSPEC_AGENT:-$HOME/.fogspec/agent.pyz}
 out=${FOGSPEC_OUT:-$HOME/.fogspec/out}
-measure=(timeout --kill-after=30 900 python3 "$agent" sample --out "$out" --after 300 --warmup 1 --startup 300 --steps 200 --callback /motion_plan --asks '["python3", "-m", "fogspec_agent.declared", "--of", "mpt_ros/client", "experiment", "scenario"]' --statistic mean \
+measure=(timeout --kill-after=30 900 "${FOGSPEC_PYTHON:-python3}" "$agent" sample --out "$out" --after 300 --warmup 1 --startup 300 --steps 200 --callback /motion_plan --asks '["python3", "-m", "fogspec_agent.declared", "--of", "mpt_ros/client", "experiment", "scenario"]' --statistic mean \
   --process '["python3", "-m", "fogspec_agent.topics", "--request", "/robot_mesh", "--response", "/motion_plan", "--match", "first_request"]' \
   --process '{"argv": ["ros2", "run", "mpt_ros", "node"], "name": "node"}' \
   --process '{"argv": ["ros2", "run", "mpt_ros", "client", "--ros-args", "-p", "experiment:=\"latency\"", "-p", "scenario:=\"cubicles\""], "name": "client"}' \

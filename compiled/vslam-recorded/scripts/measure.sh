@@ -27,7 +27,7 @@ fi
 set -u
 agent=${FOGSPEC_AGENT:-$HOME/.fogspec/agent.pyz}
 out=${FOGSPEC_OUT:-$HOME/.fogspec/out}
-measure=(timeout --kill-after=30 900 python3 "$agent" sample --out "$out" --after 300 --warmup 1 --startup 300 --steps 200 --callback /RGBD/pose --statistic mean \
+measure=(timeout --kill-after=30 900 "${FOGSPEC_PYTHON:-python3}" "$agent" sample --out "$out" --after 300 --warmup 1 --startup 300 --steps 200 --callback /RGBD/pose --statistic mean \
   --process '["python3", "-m", "fogspec_agent.topics", "--request", "/camera/color/image", "--response", "/RGBD/pose", "--match", "first_request"]' \
   --process '{"argv": ["ros2", "launch", "orb_slam2_ros", "orb_slam2_d435_rgbd_launch.py", "compress:=0"], "name": "ros2 launch"}' \
   --process '{"argv": ["ros2", "launch", "orb_slam2_ros", "orb_slam2_d435_rgbd_client_launch.py", "dataset:=/dataset", "compress:=0", "fps:=1"], "name": "ros2 launch"}' \

@@ -139,6 +139,9 @@ def _rechecked(find: Find) -> set[int]:
 
 
 def equipped(environment: Mapping[str, str], out: Path) -> dict[str, str]:
-    """Return the environment of a task's run script on this host: this Python comes first, output goes to `out`."""
-    path = os.pathsep.join([str(Path(sys.executable).parent), child.environment().get("PATH", os.defpath)])
-    return {**environment, "PATH": path, "FOGSPEC_OUT": str(out.absolute())}
+    """Return the environment of a task's run script on this host: output goes to `out`, and the agent runs in this Python.
+
+    Nodes get the `python3` that the user's shell has, with the user's packages; this one only where it has none.
+    """
+    path = os.pathsep.join([child.environment().get("PATH", os.defpath), str(Path(sys.executable).parent)])
+    return {**environment, "PATH": path, "FOGSPEC_PYTHON": sys.executable, "FOGSPEC_OUT": str(out.absolute())}

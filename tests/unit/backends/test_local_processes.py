@@ -1,9 +1,11 @@
 """Processes by their environment: one that is in exec, which has none for a moment, is not missed."""
 
+import sys
 from pathlib import Path
 
 import pytest
 
+from fogspec.agent import processes as agent
 from fogspec.backends.local import processes
 
 
@@ -39,3 +41,16 @@ def test_what_never_has_an_environment_is_not_waited_for(tmp_path: Path, monkeyp
     monkeypatch.setattr(processes, "PROC", str(tmp_path))
     monkeypatch.setattr(processes.time, "sleep", lambda _: pytest.fail("it waits"))
     assert dict(processes.environments()) == {}
+
+
+def test_nodes_get_the_python3_of_the_user_s_shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = str(Path(sys.executable).parent)
+    monkeypatch.setenv("PATH", f"{tmp_path}::relative:/usr/bin")
+    found = processes.equipped({"A": "1"}, tmp_path)
+    assert found == {
+        "A": "1", "PATH": f"{tmp_path}:/usr/bin:{own}", "FOGSPEC_OUT": str(tmp_path), "FOGSPEC_PYTHON": sys.executable,
+    }  # fmt: skip
+    monkeypatch.delenv("PATH")
+    assert processes.equipped({}, tmp_path)["PATH"].split(":")[-1] == own
+    assert agent.apart(["python3", "-m", "fogspec_agent.topics"])[0] == sys.executable
+    assert agent.apart(["python3", "node.py"]) == ["python3", "node.py"]
