@@ -74,7 +74,7 @@ def started(argv: list[str]) -> dict[str, Any]:
             found["arguments"].append(word)
         elif word in ("-r", "--remap"):
             name, _, to = next(words, "").partition(":=")
-            found["remappings"][name] = to
+            found["remappings"].setdefault(name, to)  # the first rule for a name is the one that has an effect
         elif word == "--params-file":
             found["parameter_files"].append(next(words, ""))
         elif word in ("-p", "--param", "--log-level", "--log-config-file", "-e", "--enclave"):

@@ -99,7 +99,7 @@ def _named(node: Node | ComposableNode, indent: int) -> dict[str, str | None]:
         lines = [f"{inner}{_file(file, has_allowed(node))},\n" for file in node.parameter_files]
         lines += [f"{inner}{_value(node.parameters, indent + 4)},\n"] if node.parameters else []
         parameters = "[\n" + "".join(lines) + " " * indent + "]"
-    pairs = sorted(node.remappings.items())
+    pairs = list(node.remappings.items())
     return {
         "name": _text(node.name) if node.name else None,
         "namespace": _text(node.namespace) if node.namespace else None,

@@ -332,7 +332,10 @@ def _ros_arguments(node: Node) -> list[str]:
         found += ["--params-file", path]
     for key, value in _flat(node.parameters):
         found += ["-p", f"{key}:={parameter(value)}"]
-    for source, target in sorted(node.remappings.items()):
+    for (
+        source,
+        target,
+    ) in node.remappings.items():  # in their order: the first that matches a name is the one that counts
         found += ["-r", f"{source}:={target}"]
     return ["--ros-args", *found] if found else []
 

@@ -26,6 +26,7 @@ NOTHING: frozenset[Stage] = frozenset()
 WAIVABLE = ("spec.cloud", "spec.ros", "spec.benchmark.workload", "spec.secrets")
 NO_FILES: Mapping[str, str] = MappingProxyType({})
 IMAGE = "image"  # the name of the image's digest in a record
+REMAPPINGS = re.compile(r"spec\.\w+\[\d+\](\.composable_node_descriptions\[\d+\])?\.remappings")
 LONGEST = 60
 TOOL = "fogspec"  # that of fogspec's version
 RESULTS = "results"  # that of their digest
@@ -129,8 +130,13 @@ def _file_row(path: str) -> str:
 
 
 def _rows(value: Any, at: str) -> Iterator[tuple[str, Any]]:
-    """Yield each value below a field by its path: of mappings their keys, of lists of mappings their items."""
-    if isinstance(value, Mapping):
+    """Yield each value below a field by its path: of mappings their keys, of lists of mappings their items.
+
+    Of remappings the order counts as well, since the first that matches a name is the one that ROS 2 applies.
+    """
+    if isinstance(value, Mapping) and value and REMAPPINGS.fullmatch(at):
+        yield at, [f"{old}:={new}" for old, new in value.items()]
+    elif isinstance(value, Mapping):
         for key, inner in value.items():
             plain = isinstance(key, str) and re.fullmatch(r"[^\W\d][\w/-]*", key)
             yield from _rows(inner, f"{at}.{key}" if plain else f"{at}[{json.dumps(key)}]")

@@ -103,7 +103,9 @@ class ComposableNode(Strict):
         examples=[True],
     )
     remappings: dict[str, str] = Field(
-        {}, description="topic and service names: from -> to", examples=[{"image": "image_raw"}]
+        {},
+        description="topic and service names: from -> to; of those that match a name, the first counts",
+        examples=[{"image": "image_raw"}],
     )
     extra_arguments: dict[str, Any] = Field(
         {}, description="extra arguments of the component", examples=[{"use_intra_process_comms": True}]
@@ -161,7 +163,9 @@ class Node(Strict):
         [], description="ROS 2 parameter files, relative to the spec", examples=[["config/planner.yaml"]]
     )
     remappings: dict[str, str] = Field(
-        {}, description="topic and service names: from -> to", examples=[{"/image_raw": "/camera/color/image"}]
+        {},
+        description="topic and service names: from -> to; of those that match a name, the first counts",
+        examples=[{"/image_raw": "/camera/color/image"}],
     )
     arguments: list[str] = Field([], description="arguments appended to the command line", examples=[["--verbose"]])
     env: dict[str, str] = Field(

@@ -9,7 +9,7 @@ from fogspec.agent.robot_processes import Processes, started
 
 
 def test_an_installed_node_with_its_ros_arguments() -> None:
-    words = "/usr/bin/python3 /opt/ros/jazzy/lib/demo_nodes_py/talker --fast --ros-args -r __node:=t -r a:=/b"
+    words = "/usr/bin/python3 /opt/ros/jazzy/lib/demo_nodes_py/talker --fast --ros-args -r __node:=t -r a:=/b -r a:=/c"
     found = started([*words.split(), "--params-file", "p.yaml", "-p", "x:=1", "--", "last"])
     assert found == {
         "package": "demo_nodes_py", "executable": "talker", "remappings": {"__node": "t", "a": "/b"},

@@ -137,10 +137,11 @@ def test_files_are_sent_only_when_something_names_them():
 def test_ros_words_become_ros_arguments():
     node = Node(package="p", executable="e", name="n", namespace="/a", arguments=["--fast"], env={"B": "2", "A": "1"},
                 parameters={"gain": 38.0, "n": 3, "deep": {"on": True}, "text": "7"}, parameter_files=["p.yaml"],
-                remappings={"/x": "/y"})  # fmt: skip
+                remappings={"x": "/y", "/x": "/z", "a": "/b"})  # fmt: skip
     assert command(node) == [
         "env", "A=1", "B=2", "ros2", "run", "p", "e", "--fast", "--ros-args", "-r", "__node:=n", "-r", "__ns:=/a",
-        "--params-file", "p.yaml", "-p", "deep.on:=true", "-p", "gain:=38.0", "-p", "n:=3", "-p", 'text:="7"', "-r", "/x:=/y",
+        "--params-file", "p.yaml", "-p", "deep.on:=true", "-p", "gain:=38.0", "-p", "n:=3", "-p", 'text:="7"', "-r", "x:=/y",
+        "-r", "/x:=/z", "-r", "a:=/b",
     ]  # fmt: skip
 
 

@@ -296,6 +296,32 @@ def test_launch_files_that_include_each_other_end(tmp_path: Path) -> None:
     assert any("circle" in one for one in messages(found))
 
 
+def test_remappings_keep_launch_s_order_and_the_first_for_a_name(tmp_path: Path) -> None:
+    body = """\
+from launch_ros.actions import SetRemap
+rules = [('x', '/one'), ('/x', '/two'), ('a', '/three'), ('scan', '/four')]
+return LaunchDescription([SetRemap('scan', '/first'), SetRemap('scan', '/second'),
+                          Node(package='a', executable='b', remappings=rules)])"""
+    (node,) = nodes(read_launch(written(tmp_path, body)))
+    assert list(node["remappings"].items()) == [
+        ("scan", "/first"), ("x", "/one"), ("/x", "/two"), ("a", "/three"),
+    ]  # fmt: skip
+
+
+def test_what_is_of_the_whole_graph_is_left_out_and_named(tmp_path: Path) -> None:
+    body = """\
+return LaunchDescription([
+    SetEnvironmentVariable('ROS_DOMAIN_ID', '42'), SetEnvironmentVariable('ROS_LOG_DIR', '/tmp'),
+    Node(package='a', executable='b', name='one'),
+    Node(package='a', executable='b', name='two', additional_env={'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp', 'A': '1'})])"""
+    found = read_launch(written(tmp_path, body))
+    assert [one["env"] for one in nodes(found)] == [{"ROS_LOG_DIR": "/tmp"}, {"ROS_LOG_DIR": "/tmp", "A": "1"}]
+    assert any("ROS_DOMAIN_ID of one" in one and "of the whole graph" in one for one in messages(found)), messages(
+        found
+    )
+    assert any("RMW_IMPLEMENTATION of two" in one for one in messages(found))
+
+
 def test_launch_arguments_are_taken_as_ros2_launch_takes_them(tmp_path: Path) -> None:
     path = written(
         tmp_path,

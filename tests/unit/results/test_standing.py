@@ -104,6 +104,23 @@ def test_an_image_is_waived_by_its_digests(waivers: list[tuple[str, str, str]], 
         assert found.reasons == ["image changed"]
 
 
+def test_the_order_of_remappings_is_part_of_what_was_measured() -> None:
+    node = {
+        "package": "p",
+        "executable": "e",
+        "parameters": {"x": 1, "y": 2},
+        "remappings": {"scan": "/a", "/scan": "/b"},
+    }
+    other = {**node, "remappings": {"/scan": "/b", "scan": "/a"}}
+    found = now(measured(of(node)), of(other))
+    assert [one.change for one in found.suggested] == ["spec.cloud[0].remappings"]
+    assert now(measured(of(node)), of({**node, "parameters": {"y": 2, "x": 1}})).counts
+    assert now(
+        measured(of({**node, "remappings": {}})),
+        of({"package": "p", "executable": "e", "parameters": {"x": 1, "y": 2}}),
+    ).counts
+
+
 def test_a_file_that_is_named_like_a_field_is_not_one() -> None:
     node = {"cmd": ["./node"]}
     results = measured(of(node), {"spec.cloud": OLD})

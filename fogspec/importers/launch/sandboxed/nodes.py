@@ -63,7 +63,9 @@ def _namespace(made: Made) -> str | None:
 
 
 def _remappings(items: Any, place: Place) -> dict[str, str]:
-    found: dict[str, str] = dict(CONTEXT.launch_configurations.get("ros_remaps", []))
+    found: dict[str, str] = {}
+    for pair in CONTEXT.launch_configurations.get("ros_remaps", []):
+        found.setdefault(*pair)  # the first rule for a name is the one that has an effect
     if isinstance(items, Unknown):
         note(items._place, f"remappings are not taken over: {items._why}")
         return found
@@ -73,7 +75,7 @@ def _remappings(items: Any, place: Place) -> dict[str, str]:
             continue
         pair = attempt(partial(all_said, one), "a remapping is", place)
         if pair:
-            found.setdefault(*pair)  # the first rule for a name is the one that has an effect
+            found.setdefault(*pair)
     return found
 
 
