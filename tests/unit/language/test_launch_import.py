@@ -330,15 +330,54 @@ def test_launch_arguments_are_taken_as_ros2_launch_takes_them(tmp_path: Path) ->
         "    Node(package='a', executable='b', parameters=[{'use_sim_time': LaunchConfiguration('use_sim_time')}],\n"
         "         arguments=['-d', LaunchConfiguration('needed')])])",
     )
-    (node,) = nodes(found := read_launch(path))
-    assert node["parameters"] == {"use_sim_time": False}
-    assert "arguments" not in node, "a list of arguments is taken whole or not at all"
-    assert messages(found) == [
-        "arguments of b are not taken over: the launch argument needed has no default: give it as needed:=VALUE"
-    ]
+    assert refused(path) == "launch does not start without needed, which has no default"
     (node,) = nodes(found := read_launch(path, {"use_sim_time": "true", "needed": "x"}))
     assert (node["parameters"], node["arguments"]) == ({"use_sim_time": True}, ["-d", "x"])
     assert not found.notes
+
+
+def refused(path: Path, given: dict[str, str] | None = None) -> str:
+    with pytest.raises(DiagnosticError) as problems:
+        read_launch(path, given)
+    return problems.value.diagnostics[0].message
+
+
+LASER = "DeclareLaunchArgument('laser', default_value='front', choices=['front', 'rear'])"
+
+
+@pytest.mark.parametrize(
+    ("actions", "given", "said"),
+    [
+        (LASER, {"laser": "raer"}, "launch does not start with laser:=raer: it must be one of front, rear"),
+        (LASER.replace("'front', ch", "'top', ch"), {}, "launch does not start with laser:=top"),
+        (
+            "DeclareLaunchArgument('a'), DeclareLaunchArgument('b')",
+            {},
+            "launch does not start without a, b, which have no def",
+        ),
+        ("LogInfo(msg=LaunchConfiguration('c'))", {}, None),
+        ("SetEnvironmentVariable('A', LaunchConfiguration('c'))", {}, "launch does not start without c"),
+        (LASER, {"laser": "rear"}, None),
+    ],
+)
+def test_what_launch_does_not_start_is_refused(
+    tmp_path: Path, actions: str, given: dict[str, str], said: str | None
+) -> None:
+    path = written(tmp_path, f"return LaunchDescription([{actions}, Node(package='a', executable='b')])")
+    if said is None:
+        assert len(nodes(read_launch(path, given))) == 1
+    else:
+        assert refused(path, given).startswith(said)
+
+
+def test_what_an_absent_file_may_have_given_is_noted_only(tmp_path: Path) -> None:
+    body = """\
+return LaunchDescription([
+    IncludeLaunchDescription('/nowhere/x.launch.py'), DeclareLaunchArgument('needed'),
+    Node(package='a', executable='b', name='one', namespace=LaunchConfiguration('space'))])"""
+    found = read_launch(written(tmp_path, body))
+    assert nodes(found) == [{"package": "a", "executable": "b", "name": "one"}]
+    assert any("the launch argument space has no default" in one for one in messages(found)), messages(found)
 
 
 def test_what_is_not_known_is_named_once(tmp_path: Path) -> None:

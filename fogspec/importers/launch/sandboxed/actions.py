@@ -21,6 +21,7 @@ from fogspec.importers.launch.sandboxed.paths import opened, real, virtual
 from fogspec.importers.launch.sandboxed.values import (
     CURRENT,
     OWN,
+    REFUSALS,
     Fatal,
     Place,
     Refused,
@@ -28,9 +29,9 @@ from fogspec.importers.launch.sandboxed.values import (
     Unknown,
     attempt,
     marked,
+    missing,
     note,
     reason,
-    unknown,
     whole,
 )
 
@@ -87,21 +88,20 @@ NAMES["launch"]["LaunchDescription"] = LaunchDescription
 
 @action("DeclareLaunchArgument", "name")
 def _declare(self: Made, context: Any) -> None:
-    name, value = perform(self.name), self.word("default_value")
-    if name in context.launch_configurations:
+    name, value, given = perform(self.name), self.word("default_value"), context.launch_configurations
+    if name not in given and value is None:
+        given[name] = missing(name, self.place)
         return
-    if value is None:
-        missing = f"the launch argument {name} has no default: give it as {name}:=VALUE"
-        context.launch_configurations[name] = unknown(missing, self.place)
-        return
-    context.launch_configurations[name] = text = perform(value)
+    own = name not in given
+    given[name] = text = perform(value if own else given[name])
     if marked(text):
         return
-    if len(PLAYED) == 1:
+    if own and len(PLAYED) == 1:
         FOUND.defaults.setdefault(name, attempt(lambda: said(text), "a default is", self.place, ""))
     choices = self.word("choices")
     if choices and text not in choices:
-        note(self.place, f"launch refuses {name}:={text}: it must be one of {', '.join(map(str, choices))}")
+        some = ", ".join(map(str, choices))
+        REFUSALS.append(Fatal(f"launch does not start with {name}:={text}: it must be one of {some}", self.place))
 
 
 @action("SetLaunchConfiguration", "name", "value")

@@ -29,7 +29,7 @@ from typing import Any
 import yaml  # noqa: F401
 
 from fogspec.importers.launch.sandboxed import actions, context, fogros, frontend, made, modules, nodes, paths  # noqa: F401
-from fogspec.importers.launch.sandboxed.values import CURRENT, NOTES, Fatal, Place, Stop, plain
+from fogspec.importers.launch.sandboxed.values import CURRENT, NOTES, Fatal, Place, Stop, check, plain
 
 PROCESSES = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "os.forkpty", "pty.spawn")
 SIGNALS = ("os.kill", "os.killpg", "signal.pthread_kill")
@@ -64,6 +64,7 @@ def answer(question: Any) -> dict[str, Any]:
         while actions.LATER:
             made.visit(actions.LATER.pop(0))
         nodes.load()
+        check()
     except Fatal as problem:
         failed = problem.why, problem.place, problem.fix
     notes = [[*place, plain(message)] for place, message in NOTES]

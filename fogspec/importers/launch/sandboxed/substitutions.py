@@ -9,7 +9,18 @@ from typing import Any
 from fogspec.importers.launch.sandboxed.context import perform, truth
 from fogspec.importers.launch.sandboxed.made import NAMES, Made, make
 from fogspec.importers.launch.sandboxed.paths import content, prefix, share, virtual
-from fogspec.importers.launch.sandboxed.values import CURRENT, Refused, Stop, Text, kept, marked, plain, unknown, why
+from fogspec.importers.launch.sandboxed.values import (
+    CURRENT,
+    Refused,
+    Stop,
+    Text,
+    kept,
+    marked,
+    missing,
+    plain,
+    unknown,
+    why,
+)
 
 Do = Callable[[Any], str]
 
@@ -45,7 +56,7 @@ def _variable(self: Made) -> str:
     if name in CONTEXT.launch_configurations:
         return perform(CONTEXT.launch_configurations[name])
     if self.default is None:
-        return unknown(f"the launch argument {name} is not given", self.place)
+        return missing(name, self.place)
     return perform(self.default)
 
 

@@ -36,11 +36,35 @@ class Refused(Exception):
 
 
 class Fatal(Exception):
-    """A file that is not a launch file of ROS 2."""
+    """A file that is not a launch file of ROS 2, or that launch does not start with these arguments."""
 
     def __init__(self, why: str, place: Place, fix: str | None = None) -> None:
         super().__init__(why)
         self.why, self.place, self.fix = why, place, fix
+
+
+REFUSALS: list[Fatal] = []  # why launch does not start what is played
+MISSING: dict[str, Place] = {}  # the launch arguments without a value
+
+
+def missing(name: str, place: Place) -> str:
+    """Return what stands for a launch argument without a value, with which launch does not start.
+
+    Where something was not taken over before, that may give the value, or this part may not be played.
+    """
+    if not NOTES:
+        MISSING.setdefault(name, place)
+    return unknown(f"the launch argument {name} has no default: give it as {name}:=VALUE", place)
+
+
+def check() -> None:
+    """Raise Fatal if launch would not start what was played."""
+    if REFUSALS:
+        raise REFUSALS[0]
+    if MISSING:
+        have = "which has no default" if len(MISSING) == 1 else "which have no default"
+        fix = f"give {' '.join(f'{name}:=VALUE' for name in MISSING)}"
+        raise Fatal(f"launch does not start without {', '.join(MISSING)}, {have}", next(iter(MISSING.values())), fix)
 
 
 def whole(line: int, path: str | None = None) -> Place:
