@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from .graph_variables import PLACE
 from .matching import HEADER
 
 RESTARTED = "FOGSPEC_LOOKED_FOR_RCLPY"
@@ -23,12 +24,6 @@ CYCLONE = (
     "<CycloneDDS><Domain><Discovery><ParticipantIndex>auto</ParticipantIndex>"
     "<MaxAutoParticipantIndex>119</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
 )
-# Where a graph is, and whom its nodes ask for others. docs.ros.org, "The ROS_DOMAIN_ID", "Improved Dynamic Discovery";
-# fast-dds.docs.eprosima.com, "Discovery Server settings".
-GRAPH = (
-    "ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER",
-    "ROS_SUPER_CLIENT", "ROS2_EASY_MODE",
-)  # fmt: skip
 RELIABLE = 1  # of rmw_qos_reliability_policy_t
 
 
@@ -56,7 +51,7 @@ def alone(environment: Mapping[str, str]) -> dict[str, str]:
     """
     humble = environment.get("ROS_DISTRO") == "humble"
     local = {"ROS_LOCALHOST_ONLY": "1"} if humble else {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    rest = {name: value for name, value in environment.items() if name not in GRAPH}
+    rest = {name: value for name, value in environment.items() if name not in PLACE}
     return {"CYCLONEDDS_URI": CYCLONE, **rest, **local, "ROS_DOMAIN_ID": str(_unused_domain())}
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from fogspec.agent.graph_variables import RMW
 from fogspec.backends.protocol import (
     AGENT_FILE,
     DEPLOY_FILE,
@@ -28,7 +29,7 @@ from fogspec.language.launch_text import has_substitution, needs_launch
 from fogspec.language.lockfile import ImageUse, registry_login
 from fogspec.language.named_files import measurement_sends_files
 from fogspec.language.probe import holds, module, optional, player, probe_parts
-from fogspec.language.schema import UBUNTU, Application, ComposableNode, Node, Spec
+from fogspec.language.schema import UBUNTU, Application, ComposableNode, Node, Ros, Spec
 from fogspec.language.warned import Warned, warned
 from fogspec.plan.commitment import Commitment, engine_settings
 from fogspec.plan.schema import Sample
@@ -353,6 +354,11 @@ def parameter(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
+def _middleware(ros: Ros) -> list[str]:
+    """Return the Debian package of the middleware that all nodes have, if the spec names it."""
+    return [f"ros-{ros.distro}-{ros.env[RMW].replace('_', '-')}"] if RMW in ros.env else []
+
+
 def ros_environment(spec: Spec) -> dict[str, Any]:
     """Return the values of the scripts' templates: ROS 2 and its image (None without), workspace, packages, secrets."""
     ros = spec.ros
@@ -360,7 +366,8 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "distro": ros.distro if ros else None,
         "image": ros.image if ros else None,
         "workspace": ros.workspace if ros else None,
-        "apt": ros.apt if ros else [],
+        "apt": [*ros.apt, *_middleware(ros)] if ros else [],
+        "graph": ros.env if ros else {},
         "setup": ros.setup if ros else [],
         "setup_digest": digest.shorten(digest.of_value(ros.setup if ros else [])),
         "apt_source": {"codename": UBUNTU[ros.distro], "sha256": ROS_APT_PACKAGES[UBUNTU[ros.distro]]} if ros else {},

@@ -211,6 +211,12 @@ class Ros(Strict):
     setup: list[str] = Field(
         [], description="shell lines that run after provisioning, once", examples=[["pip3 install --user gqcnn"]]
     )
+    env: dict[Identifier, str] = Field(
+        {},
+        description="environment variables of the whole ROS 2 graph there, the probe's as the nodes', where no link sets them; "
+        "of a sample, domain and discovery are its own",
+        examples=[{"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}],
+    )
 
 
 class Probe(Strict):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from fogspec.agent.graph_variables import is_of_graph
 from fogspec.importers.launch.constraints import PROBE, UNREADABLE
 from fogspec.importers.launch.found import LaunchImport, Place, ros_words, tidy
 from fogspec.importers.launch.packages import Packages
@@ -95,6 +96,12 @@ def _valid(found: LaunchImport, node: dict[str, Any], names: set[str]) -> dict[s
         for path in [path for path in one.get("parameter_files", []) if not _path(path)]:
             found.note(place, f"the parameter file {path} of {what} is not taken over: it is not in the spec's folder")
             one["parameter_files"].remove(path)
+    for name in filter(is_of_graph, list(node.get("env", {}))):
+        own = "spec.ros.env or the link sets it"
+        found.note(
+            place, f"the environment variable {name} of {what} is not taken over: it is of the whole graph; {own}"
+        )
+        del node["env"][name]
     changed = {key: value for key, value in node.items() if value not in ([], {})}
     full = f"{(node.get('namespace') or '').rstrip('/')}/{node.get('name')}"
     if node.get("name") and "cmd" not in node and full in names and "composable_node_descriptions" not in node:

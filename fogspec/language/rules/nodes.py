@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from posixpath import normpath
 from typing import Any
 
+from fogspec.agent.graph_variables import RMW, is_of_graph
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.language.launch_text import STARTS
 from fogspec.language.lockfile import REGISTRY_LOGIN, registry_login
@@ -17,6 +18,8 @@ from fogspec.language.schema import Application, ComposableNode, Node, Spec
 ROS_WORDS = ("package", "executable", "name", "namespace", "parameters", "parameter_files", "remappings",
              "composable_node_descriptions")  # fmt: skip
 STARTS_ROS2 = re.compile(r"(?<![\w-])ros2 (?:action|bag|control|launch|lifecycle|param|run|service|topic)\b")
+LINK: Path = ("spec", "connectivity", "link")
+MIDDLEWARE = re.compile(r"rmw_(?!zenoh)[a-z0-9_]+")
 GRAPH_NAME = re.compile(r"(~/|/)?([A-Za-z_{][A-Za-z0-9_{}]*)(/[A-Za-z_{][A-Za-z0-9_{}]*)*|/|~")
 
 
@@ -198,6 +201,33 @@ def secrets(application: Application) -> Iterator[Finding]:
                 )
 
 
+def variables_of_the_graph(application: Application) -> Iterator[Finding]:
+    """Require what is of a whole ROS 2 graph in spec.ros.env alone, and there nothing else, and nothing that a link decides."""
+    spec, link, at = application.spec, application.spec.connectivity.link, ("spec", "ros", "env")
+    decided = f"remove it: the link {link} decides" if link != "none" else None
+    for path, node in all_nodes(spec) if spec.ros else []:
+        for name in filter(is_of_graph, node.env):
+            here = (*path, "env", name)
+            message = f"{dotted(here)} is of the whole ROS 2 graph, and set for one process of it"
+            own = "remove it: the robot's are those of its shell" if path[1] == "robot" else "move it to spec.ros.env"
+            yield Finding("FS562", here, message, decided or own, at_key=True)
+    for name, value in spec.ros.env.items() if spec.ros else []:
+        if not is_of_graph(name):
+            message = f"{dotted((*at, name))} is not of the whole ROS 2 graph"
+            yield Finding("FS562", (*at, name), message, "move it to env of the nodes", at_key=True)
+        elif decided:
+            message = f"{dotted((*at, name))} is set by hand, and spec.connectivity.link is {link}"
+            yield Finding("FS562", (*at, name), message, decided, (LINK,), at_key=True)
+        elif name == RMW and not MIDDLEWARE.fullmatch(value):
+            fix = (
+                "write 'connectivity: {link: zenoh}' in spec"
+                if "zenoh" in value
+                else "write it like rmw_cyclonedds_cpp"
+            )
+            message = f"{dotted((*at, name))} must be a middleware that needs no router, and '{value}' is not"
+            yield Finding("FS562", (*at, name), message, fix)
+
+
 def login_to_a_registry(application: Application) -> Iterator[Finding]:
     """Require all of a login: SkyPilot refuses a part of it, after the machine was requested."""
     spec, path = application.spec, ("spec", "secrets")
@@ -223,5 +253,6 @@ RULES = (
     parameter_values,
     paths,
     secrets,
+    variables_of_the_graph,
     login_to_a_registry,
 )

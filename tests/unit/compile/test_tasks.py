@@ -292,6 +292,20 @@ def test_python_is_that_of_the_set_up_and_not_the_job_runners(tmp_path: Path) ->
     assert "mine/bin" in run.stdout.splitlines(), run.stderr
 
 
+def test_the_graph_s_own_variables_reach_all_that_runs_in_it(tmp_path: Path) -> None:
+    env = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", "CYCLONEDDS_URI": f"<a>'{NASTY}</a>"}
+    spec = application(ros={"distro": "humble", "env": env}).spec
+    (tmp_path / "python3").write_text('#!/bin/sh\nprintf %s "$RMW_IMPLEMENTATION $CYCLONEDDS_URI"\n')
+    (tmp_path / "python3").chmod(0o755)
+    deploys = render("deploy.sh.j2", **GENERATED, **ros_environment(spec), processes=[], **DEPLOYED)
+    given = {"PATH": f"{tmp_path}:/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_LIFETIME_S": "1", "FOGSPEC_ENDS": "1"}
+    for script in (rendered_sample(application(ros={"distro": "humble", "env": env})), deploys):
+        script = script.replace("/opt/ros/humble/setup.bash", "/dev/null")
+        run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=given)
+        assert f"rmw_cyclonedds_cpp {env['CYCLONEDDS_URI']}" in run.stdout, run.stderr
+    assert "needs ros-humble-rmw-cyclonedds-cpp" in render("setup.sh.j2", **GENERATED, **ros_environment(spec))
+
+
 @pytest.mark.parametrize("own", ["miniconda3/bin", "mine/bin"])
 def test_in_a_container_the_environment_is_the_images(tmp_path: Path, own: str) -> None:
     """It may have a Miniconda of its own. SkyPilot sets one thread, and what an image sets only its first process has."""
