@@ -1,13 +1,15 @@
 """Write nodes as Python launch files have them: the same lines for the deployment and for a measured container."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
 from fogspec.base.templates import python, render
 from fogspec.language.launch_text import CLASSES, Substitution, has_allowed, has_substitution, imports, parts
 from fogspec.language.schema import ComposableNode, Node
+
+WRITTEN = "written("  # the launch file's own function
 
 
 def node_launch(node: Node) -> str:
@@ -28,12 +30,22 @@ def words(nodes: Sequence[Node], labels: Sequence[str | None] = ()) -> dict[str,
     return {
         "nodes": [_written(node, label) for node, label in zip_longest(nodes, labels)],
         "has_nodes": bool(ros),
+        "writes": any(one.startswith(WRITTEN) for node in ros for one in _parameters(node, 0)),
         "has_processes": len(ros) < len(nodes),
         "substitutions": sorted(substitutions.items()),
         "ros_actions": (["ComposableNodeContainer"] if containers else [])
         + (["Node"] if len(containers) < len(ros) else []),
         "descriptions": (["ComposableNode"] if containers else []) + described,
     }
+
+
+def flat(parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield parameters by their full names, sorted."""
+    for key, value in sorted(parameters.items()):
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def _all(nodes: Sequence[Node]) -> list[Node | ComposableNode]:
@@ -97,7 +109,7 @@ def _named(node: Node | ComposableNode, indent: int) -> dict[str, str | None]:
     if node.parameters or node.parameter_files:
         inner = " " * (indent + 4)
         lines = [f"{inner}{_file(file, has_allowed(node))},\n" for file in node.parameter_files]
-        lines += [f"{inner}{_value(node.parameters, indent + 4)},\n"] if node.parameters else []
+        lines += [f"{inner}{one},\n" for one in _parameters(node, indent + 4)]
         parameters = "[\n" + "".join(lines) + " " * indent + "]"
     pairs = list(node.remappings.items())
     return {
@@ -106,6 +118,30 @@ def _named(node: Node | ComposableNode, indent: int) -> dict[str, str | None]:
         "parameters": parameters,
         "remappings": python(pairs, indent) if pairs else None,
     }
+
+
+def _parameters(node: Node | ComposableNode, indent: int) -> Iterator[str]:
+    """Yield the parameters as launch takes them.
+
+    Those of a node come in a file that the launch file writes, where all texts have quotes: to ROS 2 some are numbers or truth
+    values without, such as 1e3, 08, nan and y, and launch writes those without. What launch is to substitute stays with it.
+    """
+    if isinstance(node, ComposableNode):
+        if node.parameters:
+            yield _value(node.parameters, indent)
+        return
+    named = dict(flat(node.parameters))
+    left = {name: value for name, value in named.items() if _substitutes(value)}
+    if written := {name: value for name, value in named.items() if name not in left}:
+        yield f"{WRITTEN}{python(written, indent)})"
+    if left:
+        yield _value(left, indent)
+
+
+def _substitutes(value: Any) -> bool:
+    return any(
+        isinstance(one, str) and has_substitution(one) for one in (value if isinstance(value, list) else [value])
+    )
 
 
 def _set(words: dict[str, str | None]) -> dict[str, str]:

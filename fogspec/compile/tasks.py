@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from fogspec.base import digest, text, units
 from fogspec.base.clouds import OwnEnd, cloud_of
 from fogspec.base.layout import DEFAULT_ENVIRONMENT, Layout
 from fogspec.catalog.machine import Machine
-from fogspec.compile.launch_source import node_launch
+from fogspec.compile.launch_source import flat, node_launch
 from fogspec.compile.links import link_of, port_of
 from fogspec.language import warned as codes
 from fogspec.language.launch_text import has_substitution, needs_launch
@@ -294,7 +294,7 @@ def asks(nodes: Sequence[Node]) -> list[str] | None:
     for node in nodes:
         parts: list[Node | ComposableNode] = [node, *node.composable_node_descriptions]
         for one in parts:
-            names = [name for name, _ in _flat(one.parameters)]
+            names = [name for name, _ in flat(one.parameters)]
             texts = [one.name or "", one.namespace or ""]
             known = one.name and not any(map(has_substitution, texts))
             process = f"{node.package}/{node.executable}"
@@ -331,7 +331,7 @@ def _ros_arguments(node: Node) -> list[str]:
         found += ["-r", f"__ns:={node.namespace}"]
     for path in node.parameter_files:
         found += ["--params-file", path]
-    for key, value in _flat(node.parameters):
+    for key, value in flat(node.parameters):
         found += ["-p", f"{key}:={parameter(value)}"]
     for (
         source,
@@ -339,14 +339,6 @@ def _ros_arguments(node: Node) -> list[str]:
     ) in node.remappings.items():  # in their order: the first that matches a name is the one that counts
         found += ["-r", f"{source}:={target}"]
     return ["--ros-args", *found] if found else []
-
-
-def _flat(parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in sorted(parameters.items()):
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def parameter(value: Any) -> str:

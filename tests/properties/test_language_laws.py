@@ -52,7 +52,9 @@ values = st.recursive(
 parameters = st.dictionaries(
     st.from_regex(r"[a-z_]{1,8}", fullmatch=True),
     st.one_of(
-        scalars, st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=3), st.lists(texts, max_size=3)
+        scalars,
+        st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=3),
+        st.lists(texts, min_size=1, max_size=3),
     ),
     max_size=3,
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from fogspec.compile.tasks import _flat
+from fogspec.compile.launch_source import flat as _flat
 from fogspec.importers.launch.sandboxed.parameters import applies_to
 from fogspec.language.launch_text import has_allowed
 from fogspec.language.schema import ComposableNode, Node

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from fogspec.compile.tasks import _flat
+from fogspec.compile.launch_source import flat as _flat
 from tests.support.launch_facts import of_one
 from tests.support.launching import Entity, launched
 

@@ -155,6 +155,9 @@ def _parameters(path: Path, values: dict[str, Any]) -> Iterator[Finding]:
             )
         elif isinstance(value, list):
             kinds = {type(item) for item in value}
+            if not value:
+                message = f"{dotted(at)} is an empty list, which ROS 2 cannot read: it has no kind"
+                yield Finding("FS506", at, message, "remove it: only a default in the node itself can be empty")
             if kinds - {bool, int, float, str} or len(kinds) > 1:
                 fix = "write 1.0 for 1" if kinds == {int, float} else "write values of one kind"
                 yield Finding("FS506", at, f"{dotted(at)} must hold values of one kind: ROS 2 refuses mixed lists", fix)

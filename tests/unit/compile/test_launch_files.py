@@ -1,14 +1,18 @@
 """Generated launch files: run against a recorder, they start exactly the spec's nodes, with their words unchanged."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import launch_files, robot_launch
-from fogspec.compile.tasks import _flat, measured_processes
+from fogspec.compile.launch_source import flat
+from fogspec.compile.tasks import measured_processes
 from fogspec.importers.launch import read_launch
 from fogspec.language.schema import Application
 from tests.support.launching import launched
@@ -32,6 +36,14 @@ def written(app: Application, root: Path) -> Layout:
     return layout
 
 
+def content_of(file: str) -> dict[str, Any]:
+    """Return the parameters in a file that a launch file wrote, and remove it."""
+    content = json.loads(Path(file).read_text("utf-8"))
+    Path(file).unlink()
+    assert list(content) == ["/**"], "of the node, whatever its name: as `-p` is meant"
+    return content["/**"]["ros__parameters"]
+
+
 def test_the_clouds_launch_file_starts_the_nodes_as_the_spec_says(tmp_path, monkeypatch):
     layout = written(application(cloud=[NODE, {"cmd": ["printf", NASTY], "arguments": ["more"]}], ros={}), tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -42,7 +54,9 @@ def test_the_clouds_launch_file_starts_the_nodes_as_the_spec_says(tmp_path, monk
     }
     file, parameters = words["parameters"]
     assert file == str(tmp_path / "config" / "p.yaml")
-    assert repr(parameters) == repr(NODE["parameters"]), "types and order untouched: 38.0 stays 38.0, '7' a text"
+    assert repr(content_of(parameters)) == repr(dict(flat(NODE["parameters"]))), (
+        "types untouched: 38.0 stays 38.0, '7' a text"
+    )
     assert words["remappings"] == list(NODE["remappings"].items()), "the first that matches counts"
     assert words["arguments"] == NODE["arguments"]
     assert words["additional_env"] == NODE["env"]
@@ -116,10 +130,10 @@ def test_substitutions_are_launchs_own(tmp_path):
     }  # fmt: skip
     (one,) = launched(written(application(robot=[node]), tmp_path).robot)
     words = one.keywords
-    file, values = words["parameters"]
+    file, plain, values = words["parameters"]
     assert (file.kind, file.arguments[0][0].arguments, file.arguments[0][1]) == ("ParameterFile", ("p",), "/a.yaml")
     assert values["map"].keywords == {"value_type": str}
-    assert values["cost"] == "$5"
+    assert content_of(plain) == {"cost": "$5"}
     assert words["arguments"][1][0].kind == "EnvironmentVariable"
     assert (words["prefix"], words["respawn"], words["respawn_delay"]) == ("nice -n 5", True, 2.0)
 
@@ -137,11 +151,13 @@ def test_without_ros_there_is_no_launch_file_for_the_cloud():
 
 
 def test_init_reads_the_generated_file_back_as_the_same_nodes(tmp_path):
-    """Nested parameters come back by their full names, as launch_ros passes them on."""
+    """Parameters come back in the file that it writes."""
     node = {key: value for key, value in NODE.items() if key != "parameter_files"}
     layout = written(application(robot=[node]), tmp_path)
     found = read_launch(layout.robot)
-    assert found.cloud == [node | {"parameters": dict(_flat(NODE["parameters"]))}]
+    del node["parameters"]
+    assert found.cloud == [node | {"parameter_files": ["@files/launch.yaml"]}]
+    assert yaml.safe_load(found.files["launch.yaml"])["/**"]["ros__parameters"] == dict(flat(NODE["parameters"]))
     assert not found.notes
 
 
@@ -169,6 +185,7 @@ def test_any_words_come_out_as_they_went_in(tmp_path_factory, parameters, argume
     folder = tmp_path_factory.mktemp("any")
     (one,) = launched(written(application(robot=[node]), folder).robot)
     got = one.keywords
-    assert repr(got.get("parameters", [{}])[-1]) == repr(parameters)
+    some = got.get("parameters") or [None]
+    assert repr(content_of(some[-1]) if some[-1] else {}) == repr(dict(flat(parameters)))
     assert got.get("arguments", []) == arguments
     assert got.get("additional_env", {}) == env
