@@ -18,7 +18,7 @@ from fogspec.compile.launch_files import launch_files
 from fogspec.compile.links import link_of, port_of
 from fogspec.compile.links.wireguard import interface
 from fogspec.language.schema import Application
-from tests.ros.namespaces import Net, Process
+from tests.ros.namespaces import PYTHON, Net, Process
 
 ADDRESS = {"robot": "10.77.0.1", "cloud": "10.77.0.2"}
 OTHER = {"robot": "cloud", "cloud": "robot"}
@@ -93,7 +93,8 @@ class Joined:
 
     def __init__(self, app: Application, nets: dict[str, Net], folder: Path) -> None:
         self.app, self.nets, self.folder = app, nets, folder
-        self.path = _confined(folder / "confined") if link_of(app).name == "wireguard" else os.environ["PATH"]
+        with_router = os.pathsep.join([str(PYTHON.parent), os.environ["PATH"]])
+        self.path = _confined(folder / "confined") if link_of(app).name == "wireguard" else with_router
         self.layout = Layout.of(folder / "specs" / "x.yaml", app.metadata.name)
         for path, content in launch_files(app, self.layout).items():
             path.parent.mkdir(parents=True, exist_ok=True)
