@@ -32,6 +32,7 @@ from typing import Any
 from . import machine_facts, packages, processes, redaction, ros
 from .declared import REFUSED
 from .files import open_plain, read_tail, truncate, write_new
+from .graph_variables import PLACE, RMW
 from .holding import HELD
 from .resources import Resources
 from .shared_memory import SharedMemory
@@ -45,6 +46,7 @@ ENDING_S = 60.0
 ASKS_S = 15.0  # after the first request, for a sample that is shorter
 MISNAMED = 0.1  # of the time for the first request, while only requests of other names finish
 LOG_LIMIT = 16 * 2**20
+LOG_LOOKED_AT, TRANSFORM = 2**18, "xtrapolation"  # what tf2 says of a stamp that it has no transform for
 UNKNOWN = "it is not known whether the nodes declare the parameters that the spec sets"
 AFTERWARDS_S = 300.0
 OUTCOME_BYTES = 16384
@@ -404,8 +406,27 @@ class SampleRun:
         return self.timings.unheard(now_s - (now_s if self.valid_s is None else self.valid_s), over)
 
     def _notes(self) -> str:
-        count, note = self.timings.unreadable, self.timings.note
-        return (f": {note}" if note else "") + (f"; unreadable lines in its timings: {count}" if count else "")
+        count, found = self.timings.unreadable, [self.timings.note, self._elsewhere()]
+        for number, name in enumerate(self.options.names):
+            if line := last_line(self._log(number), TRANSFORM, LOG_LOOKED_AT):
+                found.append(f"{name}: {line}")
+        found.append(f"unreadable lines in its timings: {count}" if count else None)
+        text = "; ".join(filter(None, found))
+        return f": {text}" if self.timings.note else f"; {text}" if text else ""
+
+    def _elsewhere(self) -> str | None:
+        """Return which process is in another graph than the sample's, by the environment that it was started with."""
+        for pid in processes.descendants():
+            with contextlib.suppress(OSError):
+                text = Path(f"/proc/{pid}/environ").read_bytes().decode("utf-8", "replace")
+                theirs = dict(one.partition("=")[::2] for one in text.split("\0"))
+                if not theirs.keys() & {"AMENT_PREFIX_PATH", RMW, *PLACE}:
+                    continue
+                for name in (RMW, *PLACE):
+                    if theirs.get(name) != self.environment.get(name):
+                        has, whose = theirs.get(name, "none"), theirs.get("FOGSPEC_COMMAND") or f"process {pid}"
+                        return f"{whose} has {name} {has}, and the sample {self.environment.get(name, 'none')}"
+        return None
 
 
 def extract(out: Path) -> None:
@@ -417,10 +438,10 @@ def extract(out: Path) -> None:
         archive.extractall(out / "python", [name for name in archive.namelist() if name.startswith("fogspec_")])
 
 
-def last_line(path: Path) -> str:
-    """Return the last non-empty line of a log, without control characters, at most 300 characters."""
-    lines = read_tail(path, 4096).decode("utf-8", "replace").splitlines()
-    found = [line.strip() for line in lines if line.strip()]
+def last_line(path: Path, having: str = "", looked_at: int = 4096) -> str:
+    """Return the last non-empty line of a log that has this text, without control characters, at most 300 characters."""
+    lines = read_tail(path, looked_at).decode("utf-8", "replace").splitlines()
+    found = [line.strip() for line in lines if line.strip() and having in line]
     return "".join(c for c in found[-1] if c.isprintable())[:300] if found else ""
 
 

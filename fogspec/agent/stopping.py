@@ -119,7 +119,7 @@ class Timings:
             self.hold, self.ended = record["hold"] is True, record.get("ended") is True
             self.refused = self.refused or (str(record["refused"])[:300] if "refused" in record else None)
         elif "note" in record:
-            self.note, self.topic = str(record["note"])[:200], record.get("misnamed") is True
+            self.note, self.topic = str(record["note"])[:300], record.get("misnamed") is True
         elif isinstance(why := record.get("reason"), str):
             self.note = f"{str(record.get('name'))[:100]!r} was {why[:200]}"
         elif isinstance(name, str) and self.note is None and self.callback in (None, name):

@@ -13,12 +13,14 @@ std_msgs/Header. Goals are identified by their UUIDs on the action's status topi
 
 import argparse
 import difflib
+import itertools
 import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from .causes import Managed, of_graph
 from .holding import HELD, Held
 from .matching import HEADER, Matcher, stamp_of
 from .records import Condition, Done, Stamp, Writer, field_of
@@ -77,7 +79,7 @@ class Listener:
         self.missed: dict[str, int] = {}
         self.started_s = time.monotonic()
         self.complete_s = float("inf")
-        self.reported: list[str] = []
+        self.managed, self.asked_s, self.reported = Managed(node), float("-inf"), ""
 
     def want(self, topic: str, make: Callable[[Any, bool], Callable[[bytes], None]]) -> None:
         """Subscribe later; `make(message_type, has_header)` returns the callback for each serialised message."""
@@ -104,9 +106,8 @@ class Listener:
             self.complete_s = time.monotonic()
             if self.reported:
                 self.writer.line({"note": "its topics are published"})
-        elif [*self.missing] != self.reported and time.monotonic() - self.started_s > PATIENCE_S:
-            self.reported = [*self.missing]
-            self.unpublished(self.reported)
+        elif time.monotonic() - self.started_s > PATIENCE_S:
+            self.unpublished([*self.missing])
 
     def _subscribe(self, topic: str, message_type: Any, received: Callable[[bytes], None]) -> None:
         numbers, reliable = self.numbers.setdefault(topic, Numbers()), all(offered(self.node, topic))
@@ -133,14 +134,24 @@ class Listener:
                 self.missed[topic] = missed
                 self.writer.line({"missed": missed, "topic": topic, "sent": numbers.sent})
 
+    def ask(self, now_s: float) -> None:
+        """Ask managed nodes for their states, now and then."""
+        if now_s - self.asked_s > PATIENCE_S:
+            self.asked_s = now_s
+            self.managed.ask()
+
     def unpublished(self, topics: list[str]) -> None:
-        """Write that no node publishes these topics, with the nearest of those that one publishes."""
+        """Write that no node publishes these topics, with the nearest of those that one publishes, and why, unless said."""
         names = (name for name, _ in self.node.get_topic_names_and_types())
         known = [name for name in names if self.node.count_publishers(name)]
         near = {one: difflib.get_close_matches(one, known, 1, 0.8) for one in topics}
         named = ", ".join(f"{one} (there is {found[0]})" if found else one for one, found in near.items())
         slip = any(mistyped(one, other) for one, found in near.items() for other in found)
-        self.writer.line({"note": f"no node publishes {named}", "misnamed": slip})
+        why = next(self.managed.causes(), None)
+        note = f"no node publishes {named}" + (f": {why}" if why else "")
+        if note != self.reported:
+            self.reported = note
+            self.writer.line({"note": note, "misnamed": slip and not why})
 
 
 class Latencies:
@@ -199,7 +210,10 @@ class Latencies:
                 self.listener.unpublished(silent)
                 return
             heard = f"{matcher.count} requests" if matcher.count else "no request"
-            self.writer.line({"note": f"{heard} on {options.request}, no response to them on {options.response}"})
+            causes = itertools.chain(self.listener.managed.causes(), of_graph(self.listener.node, options.request))
+            why = "".join(f": {one}" for one in itertools.islice(causes, 1))
+            note = f"{heard} on {options.request}, no response to them on {options.response}{why}"
+            self.writer.line({"note": note})
 
     def _is_held(self) -> bool:
         return os.path.exists(os.path.join(os.path.dirname(self.writer.path or ""), HELD))
@@ -333,6 +347,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rclpy.spin_once(node, timeout_sec=DISCOVERY_S)
             if time.monotonic() - checked_s >= DISCOVERY_S:
                 checked_s = time.monotonic()
+                if listener.missing or (timed is not None and not timed.matcher.answered):
+                    listener.ask(checked_s)
                 listener.subscribe()
                 if timed is not None:
                     timed.check(checked_s)

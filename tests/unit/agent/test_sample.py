@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
@@ -583,11 +584,42 @@ with open(os.environ["FOGSPEC_TIMINGS"], "a") as f: f.write(json.dumps({"hold": 
 
 
 def test_a_sender_that_is_held_when_the_sample_ends_is_ended(tmp_path):
-    wants = """
-with open(os.environ["FOGSPEC_TIMINGS"], "a") as f: f.write(json.dumps({{"hold": True}}) + "\\n")
-time.sleep(3600)
+    wants = f"""
+while not (os.path.exists({str(tmp_path / "pid")!r}) and open({str(tmp_path / "pid")!r}).read()): time.sleep(0.01)
+with open(os.environ["FOGSPEC_TIMINGS"], "a") as f: f.write(json.dumps({{{{"hold": True}}}}) + "\\n")
+while not os.path.exists(os.path.join(os.path.dirname(os.environ["FOGSPEC_TIMINGS"]), "held")): time.sleep(0.01)
+raise SystemExit("the listener ends")
 """
     pid = f"open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(3600)"
-    outcome = held(tmp_path, wants, pid, startup=5.0)
-    assert outcome["reason"] == "no_response"
+    outcome = held(tmp_path, wants, pid, startup=600.0)
+    assert (outcome["reason"], "the listener ends" in outcome["detail"]) == ("crash", True)
     assert not Path("/proc", (tmp_path / "pid").read_text()).exists()
+
+
+def test_silence_is_told_with_what_tf_said(tmp_path):
+    outcome = run(
+        tmp_path, "print('[planner] Lookup would require extrapolation into the past.', flush=True); print('bye')"
+    )
+    assert outcome["reason"] == "no_response"
+    assert "[planner] Lookup would require extrapolation into the past." in outcome["detail"]
+
+
+@pytest.mark.parametrize(
+    ("theirs", "said"),
+    [
+        ({"ROS_DOMAIN_ID": "7"}, None),
+        ({"ROS_DOMAIN_ID": "119", "FOGSPEC_COMMAND": "planner"}, "planner has ROS_DOMAIN_ID 119, and the sample 7"),
+        ({"FOGSPEC_COMMAND": "no ROS"}, None),
+        ({"FOGSPEC_COMMAND": "b", "AMENT_PREFIX_PATH": "/opt/ros"}, "b has ROS_DOMAIN_ID none, and the sample 7"),
+        (
+            {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_x", "FOGSPEC_COMMAND": "b"},
+            "b has RMW_IMPLEMENTATION rmw_x, and",
+        ),
+    ],
+)
+def test_a_process_in_another_graph_is_named(monkeypatch, theirs, said):
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, env=theirs) as child:
+        monkeypatch.setattr(sample.processes, "descendants", lambda: [2**30, child.pid])
+        found = sample.SampleRun._elsewhere(SimpleNamespace(environment={"ROS_DOMAIN_ID": "7"}))
+    assert (found or "").startswith(said or "")
+    assert (found is None) == (said is None)
