@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from .bag import BagError, Message, messages
+from .causes import OWN
 from .matching import stamp_of, with_stamp
 from .records import VERDICT, Condition, Stamp, Writer
 from .ros import listening_qos, message_of, need_rclpy, offers_reliably, type_of
@@ -86,12 +87,16 @@ class Topics:
         self.last_stamp: Stamp | None = None
         self._subscribe_to(options.response)
         self.publishers = {options.request: self._publisher(options.request, types)}
-        self._wait(
-            lambda: self.publishers[options.request].get_subscription_count() > 0, "subscribes to", options.request
-        )
+        self._wait(self._is_heard, "subscribes to", options.request)
         for topic in types:
             if topic != options.request and node.count_subscribers(topic) and not node.count_publishers(topic):
                 self.publishers[topic] = self._publisher(topic, types)
+
+    def _is_heard(self) -> bool:
+        """Return whether a node other than this package's subscribes to the requests, and all that do have been joined."""
+        known = self.node.get_subscriptions_info_by_topic(self.request)
+        joined = self.publishers[self.request].get_subscription_count()
+        return joined >= len(known) and any(not one.node_name.startswith(OWN) for one in known)
 
     def _publisher(self, topic: str, types: dict[str, Any]) -> Any:
         from rclpy.qos import DurabilityPolicy, QoSProfile
