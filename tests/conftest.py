@@ -55,6 +55,8 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
     os.environ |= {"TMPDIR": folder, once.SESSION: folder}
     tempfile.tempdir = folder
+    if not os.access(os.path.expanduser("~"), os.W_OK):  # SkyPilot cannot be imported without one to write to
+        os.environ["HOME"] = tempfile.mkdtemp(prefix="home-")
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -63,7 +63,10 @@ def skypilot(forking: "subprocess.Popen[str]", tmp_path: Path) -> Callable[..., 
         assert forking.stdin is not None
         assert forking.stdout is not None
         out = tmp_path / "said"
-        forking.stdin.write(json.dumps([script, str(out), {"HOME": str(tmp_path), **environment}]) + "\n")
+        # SkyPilot asks the aws command what kind of credentials there are: that of this environment, for who has no other.
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+        given = {"HOME": str(tmp_path), "PATH": path, **environment}
+        forking.stdin.write(json.dumps([script, str(out), given]) + "\n")
         forking.stdin.flush()
         code = forking.stdout.readline()
         assert code == "0\n", out.read_text()[-2000:] if out.exists() else "SkyPilot was not imported"

@@ -619,6 +619,8 @@ def test_silence_is_told_with_what_tf_said(tmp_path):
 )
 def test_a_process_in_another_graph_is_named(monkeypatch, theirs, said):
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, env=theirs) as child:
+        while not Path(f"/proc/{child.pid}/environ").read_bytes():
+            time.sleep(0.01)  # a process in exec has none for a moment
         monkeypatch.setattr(sample.processes, "descendants", lambda: [2**30, child.pid])
         found = sample.SampleRun._elsewhere(SimpleNamespace(environment={"ROS_DOMAIN_ID": "7"}))
     assert (found or "").startswith(said or "")
