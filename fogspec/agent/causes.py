@@ -8,7 +8,8 @@ from .ros import RELIABLE
 
 OWN = "fogspec_"  # what the names of this package's nodes begin with
 STATE, ACTIVE = "lifecycle_msgs/srv/GetState", 3  # of lifecycle_msgs/msg/State
-KEPT = 1  # of rmw_qos_durability_policy_t: transient local
+BEST_EFFORT = 2  # of rmw_qos_reliability_policy_t
+KEPT, VOLATILE = 1, 2  # of rmw_qos_durability_policy_t: transient local
 WITHOUT = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")  # silent in many a healthy graph
 
 
@@ -59,8 +60,8 @@ def of_graph(node: Any, request: str) -> Iterator[str]:
                 continue
             if wanted.topic_type not in {one.topic_type for one in offers}:
                 yield f"{name}: {offers[0].topic_type} is published, {whose} wants {wanted.topic_type}"
-            elif short := next(filter(None, (_short(one.qos_profile, wanted.qos_profile) for one in offers)), None):
-                yield f"{name}: {short} by {whose}"
+            elif all(short := [_short(one.qos_profile, wanted.qos_profile) for one in offers]):
+                yield f"{name}: {short[0]} by {whose}"
     for name, (offers, wants) in ends.items():
         if wants and not offers and name not in WITHOUT and not name.endswith("/_action/cancel"):
             yield f"{wants[0].node_name} listens to {name}, which no node publishes"
@@ -74,8 +75,8 @@ def _ends(node: Any, topic: str) -> tuple[list[Any], list[Any]]:
 
 def _short(offered: Any, requested: Any) -> str | None:
     """Return in which quality an offer is less than what is requested. docs.ros.org, "QoS compatibilities"."""
-    if int(requested.reliability) == RELIABLE != int(offered.reliability):
+    if (int(requested.reliability), int(offered.reliability)) == (RELIABLE, BEST_EFFORT):
         return "offered best effort, requested reliable"
-    if int(requested.durability) == KEPT != int(offered.durability):
+    if (int(requested.durability), int(offered.durability)) == (KEPT, VOLATILE):
         return "offered volatile, requested transient local"
     return None

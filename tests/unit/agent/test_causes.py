@@ -46,6 +46,8 @@ CLIENT, LISTENER, NODE = end("client"), end("fogspec_topics", reliability=EFFORT
         ({"scan": ([end("client", reliability=EFFORT)], [end("planner", reliability=EFFORT)])}, []),
         ({"scan": ([CLIENT], [NODE]), "map": ([end("server")], [end("planner", durability=KEPT)])},
          ["/map: offered volatile, requested transient local by /planner"]),
+        ({"scan": ([CLIENT, end("other", reliability=EFFORT)], [NODE])}, []),  # what one offers arrives
+        ({"scan": ([end("client", reliability=0, durability=3)], [end("planner", durability=KEPT)])}, []),  # not known
         ({"scan": ([CLIENT], [NODE]), "map": ([], [NODE]), "tf": ([], [NODE])},
          ["planner listens to /map, which no node publishes"]),
     ],
