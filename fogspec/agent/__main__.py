@@ -8,6 +8,7 @@ PROGRAMS = {
     "sample": "measure one sample: start its processes, watch their requests, stop, write the outcome",
     "supervisor": "run the nodes of a deployment until one of them ends, and report their state",
     "declared": "ask nodes whether they declare the parameters that the spec sets",
+    "activate": "configure and activate managed nodes, and again those that were started again",
     "topics": "time requests on ROS 2 topics and goals of an action, beside the nodes",
     "preload": "start a node with the timing library in its process",
     "launch": "have ROS 2's launch play a launch file that is given as text",

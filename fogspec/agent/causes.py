@@ -42,6 +42,10 @@ class Managed:
             state = answer.current_state
             self.states[name] = "" if state.id == ACTIVE else str(state.label)
 
+    def all_active(self) -> bool:
+        """Return whether all have answered that they are active."""
+        return len(self.states) == len(self.clients) and not any(self.states.values())
+
     def causes(self) -> Iterator[str]:
         """Yield of each node that is not active what it is."""
         yield from (f"{name} is {state}: it was not activated" for name, state in sorted(self.states.items()) if state)

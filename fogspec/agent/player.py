@@ -20,13 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from .bag import BagError, Message, messages
-from .causes import OWN
+from .causes import OWN, Managed
 from .matching import stamp_of, with_stamp
 from .records import VERDICT, Condition, Stamp, Writer
 from .ros import listening_qos, message_of, need_rclpy, offers_reliably, type_of
 
 START_S = 120.0
 SETTLE_S = 0.5
+ACTIVE_S = 20.0  # for a node to become active that has its publisher and subscription
 IGNORED = ("/rosout", "/parameter_events", "/clock")
 MEMORY_BYTES = 2**31
 REQUEST_SENT, REQUEST_RECEIVED = 0, 1  # service_msgs/msg/ServiceEventInfo
@@ -199,6 +200,20 @@ class Service:
             sys.exit(str(problem))
 
 
+def settle(node: Any) -> None:
+    """Let discovery settle, and managed nodes become active, which else lose the first request. Some never do."""
+    import rclpy
+
+    managed, until_s = Managed(node), time.monotonic() + ACTIVE_S
+    while True:
+        managed.ask()
+        asked_s = time.monotonic()
+        while time.monotonic() < asked_s + SETTLE_S:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        if managed.all_active() or time.monotonic() > until_s:
+            return
+
+
 def play(node: Any, sender: Topics | Service, count: int, rate: float | None, timeout_s: float) -> None:
     """Send requests without end, at `rate` per second or after each response or `timeout_s`."""
     import rclpy
@@ -244,7 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         sender = Service(node, found, options) if options.service else Topics(node, found, options)
         count = len(sender.requests) if isinstance(sender, Service) else len(found)
-        time.sleep(SETTLE_S)
+        settle(node)
         play(node, sender, count, options.rate, options.timeout)
 
 

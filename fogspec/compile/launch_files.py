@@ -13,6 +13,7 @@ from fogspec.compile.links.sros2_policy import policy
 from fogspec.compile.links.wireguard import interface
 from fogspec.compile.links.zenoh import common_name
 from fogspec.compile.tasks import label, launched_together
+from fogspec.language.graph_names import names_to_activate
 from fogspec.language.schema import Application, Node
 
 SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
@@ -42,8 +43,9 @@ def robot_launch(application: Application, layout: Layout) -> bytes | None:
         return None
     environment = link.end(application, "robot").environment
     words = _words(application, layout, spec.robot)
+    activated = names_to_activate(spec.robot)
     needed = {
-        "ExecuteProcess": words["has_processes"] or link.protocol,
+        "ExecuteProcess": words["has_processes"] or link.protocol or activated,
         "OpaqueFunction": link.protocol,
         "SetEnvironmentVariable": environment,
     }
@@ -52,9 +54,11 @@ def robot_launch(application: Application, layout: Layout) -> bytes | None:
         **words,
         link=link.protocol is not None,
         environment=environment,
+        activated=[word for name in activated for word in ("--of", name)],
         together=False,
         actions=[name for name, wanted in needed.items() if wanted],
         spec_folder=Path(os.path.relpath(layout.spec.parent, layout.compiled)).as_posix(),
+        agent=Path(os.path.relpath(layout.agent, layout.compiled)).as_posix(),
     )
     return text.encode()
 

@@ -25,6 +25,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.compile.launch_source import flat, node_launch
 from fogspec.compile.links import link_of, port_of
 from fogspec.language import warned as codes
+from fogspec.language.graph_names import names_to_activate
 from fogspec.language.launch_text import has_substitution, needs_launch
 from fogspec.language.lockfile import ImageUse, registry_login
 from fogspec.language.named_files import measurement_sends_files
@@ -231,8 +232,8 @@ def measured_processes(spec: Spec) -> list[list[str] | dict[str, Any]]:
     clients: list[dict[str, Any]] = [{"argv": command(client), "name": label(client)}] if client else []
     if holds(spec):
         held = [{**one, "held": True} for one in (*clients, *({"argv": argv} for argv in player(spec)))]
-        return [*listener(spec), *nodes, *held]
-    return [*listener(spec), *nodes, *clients, *player(spec)]
+        return [*listener(spec), *nodes, *activates(spec.cloud), *held]
+    return [*listener(spec), *nodes, *activates(spec.cloud), *clients, *player(spec)]
 
 
 def deployed_processes(application: Application) -> list[list[str] | dict[str, Any]]:
@@ -258,6 +259,7 @@ def deployed_processes(application: Application) -> list[list[str] | dict[str, A
             found.append({**kept, **({"respawn_delay": delay_s} if delay_s else {})})
         elif spec.ros is None:
             found.append(kept)
+    found += [{"argv": argv, "name": "activate", "respawn": "always"} for argv in activates(spec.cloud)]
     return found
 
 
@@ -301,6 +303,12 @@ def asks(nodes: Sequence[Node]) -> list[str] | None:
             named = f"/{texts[1].strip('/')}/{one.name}" if texts[1].strip("/") else one.name
             found += ["--of", str(named) if known else process, *names] if names else []
     return [*module("declared", *found)] if found else None
+
+
+def activates(nodes: Sequence[Node]) -> list[list[str]]:
+    """Return the process that activates managed nodes, if the spec wants that of any."""
+    names = names_to_activate(nodes)
+    return [list(module("activate", *(word for name in names for word in ("--of", name))))] if names else []
 
 
 def command(node: Node) -> list[str]:

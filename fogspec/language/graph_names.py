@@ -1,9 +1,9 @@
 """Which topics, services and actions pass the link between robot and cloud: those that the spec names, no others."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from fogspec.language.schema import Node, Spec
+from fogspec.language.schema import ComposableNode, Node, Spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +40,15 @@ def _targets(node: Node) -> Iterator[str]:
 
 def _full(names: Sequence[str | None]) -> tuple[str, ...]:
     return tuple(sorted({full for name in names if name and (full := resolve(name)) is not None}))
+
+
+def names_to_activate(nodes: Iterable[Node]) -> list[str]:
+    """Return the full names of the nodes and components that fogspec is to configure and activate."""
+    parts: list[tuple[bool, Node | ComposableNode]] = []
+    for node in nodes:
+        parts.append((node.launch.autostart, node))
+        parts += [(one.autostart, one) for one in node.composable_node_descriptions]
+    return [str(resolve(one.name, one.namespace or "")) for wanted, one in parts if wanted and one.name]
 
 
 def resolve(name: str, namespace: str = "", node: str | None = None) -> str | None:

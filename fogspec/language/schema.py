@@ -86,6 +86,9 @@ class Metadata(Strict):
     )
 
 
+AUTOSTART = "have fogspec configure and activate it when it starts, a managed node, as in launch_ros; needs a name"
+
+
 class ComposableNode(Strict):
     """One component of a container, in launch_ros' words."""
 
@@ -110,6 +113,7 @@ class ComposableNode(Strict):
     extra_arguments: dict[str, Any] = Field(
         {}, description="extra arguments of the component", examples=[{"use_intra_process_comms": True}]
     )
+    autostart: bool = Field(False, description=AUTOSTART, examples=[True])
 
 
 class Launch(Lean):
@@ -120,6 +124,7 @@ class Launch(Lean):
         description="whether launch replaces substitutions in the parameter files, as ParameterFile does",
         examples=[True],
     )
+    autostart: bool = Field(False, description=AUTOSTART, examples=[True])
     prefix: str | None = Field(
         None, description="command in front of the executable, as in launch_ros", examples=["nice -n 5"]
     )

@@ -36,6 +36,7 @@ class Words(_Strict):
     """How launch starts a process."""
 
     allow_substs: bool = False
+    autostart: bool = False
     prefix: Text | None = None
     respawn: bool = False
     respawn_delay: Text | None = None
@@ -56,6 +57,7 @@ class Started(_Strict):
     arguments: list[Text] = []
     extra_arguments: Values = {}
     allow_substs: bool = False
+    autostart: bool = False
     env: dict[str, str] = {}
     launch: Words = Words()
     composable_node_descriptions: list["Started"] = []

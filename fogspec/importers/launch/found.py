@@ -13,7 +13,7 @@ MOST_BYTES = 256 << 10  # of a launch file
 MOST_DATA_BYTES = 1 << 20  # of a file that one reads
 WORDS = (
     "package", "executable", "plugin", "cmd", "name", "namespace", "parameters", "parameter_files", "remappings", "arguments",
-    "extra_arguments", "allow_substs", "env", "launch", "composable_node_descriptions", "place",
+    "extra_arguments", "allow_substs", "autostart", "env", "launch", "composable_node_descriptions", "place",
 )  # fmt: skip
 WRITTEN = "@files/"  # where a file that launch would write is put, in front of its name
 MOST_NAMED = 8  # things or lines in one note

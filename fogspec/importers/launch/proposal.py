@@ -105,6 +105,8 @@ def _valid(found: LaunchImport, node: dict[str, Any], names: set[str]) -> dict[s
     changed = {key: value for key, value in node.items() if value not in ([], {})}
     full = f"{(node.get('namespace') or '').rstrip('/')}/{node.get('name')}"
     if node.get("name") and "cmd" not in node and full in names and "composable_node_descriptions" not in node:
+        if changed.get("launch", {}).pop("autostart", False):
+            found.note(place, f"autostart of {what} is not taken over: another node has its name")
         changed = _twin(changed)
     elif node.get("name"):
         names.add(full)

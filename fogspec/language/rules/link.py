@@ -6,12 +6,14 @@ from typing import Any
 from fogspec.base.clouds import cloud_of
 from fogspec.base.credentials import kind_of
 from fogspec.base.yaml.positions import Path, dotted
-from fogspec.language.graph_names import exposed, resolve
+from fogspec.language.graph_names import exposed, names_to_activate, resolve
 from fogspec.language.rules.finding import Finding
 from fogspec.language.rules.machines import lacks, ros_block
+from fogspec.language.rules.nodes import all_named
 from fogspec.language.schema import Application
 
 LINK: Path = ("spec", "connectivity", "link")
+MANAGER = "lifecycle_manager"  # in the name of its package or executable; it has the names of its nodes in `node_names`
 
 
 def what_a_link_needs(application: Application) -> Iterator[Finding]:
@@ -91,6 +93,35 @@ def names_that_pass(application: Application) -> Iterator[Finding]:
         yield Finding("FS543", LINK, message, "add what is to pass: 'expose: {/tf: topic}'")
 
 
+def who_activates(application: Application) -> Iterator[Finding]:
+    """Warn of managers that do not reach the nodes which they activate, and of nodes that are activated twice."""
+    spec, named = application.spec, list(all_named(application.spec))
+    own = names_to_activate((*spec.cloud, *spec.robot))
+    side = {resolve(one.name, one.namespace or ""): path[1] for path, one in named if one.name}
+    passing = set(exposed(spec).services)
+    for path, manager in named:
+        at = (*path, "parameters", "node_names")
+        listed = manager.parameters.get("node_names")
+        is_manager = MANAGER in f"{manager.package} {getattr(manager, 'executable', '')}"
+        for name in listed if is_manager and isinstance(listed, list) else ():
+            full = resolve(str(name), manager.namespace or "")
+            services = [f"{full}/change_state", f"{full}/get_state"]
+            away = side.get(full, path[1]) != path[1] and spec.connectivity.link == "zenoh"
+            message, fix = (
+                None,
+                f"take {name} out of the list, and have fogspec activate it: launch: {{autostart: true}}",
+            )
+            if full in own:
+                message = (
+                    f"{dotted(at)} has {name}, which fogspec activates, too: a manager fails where it is active before"
+                )
+                fix = f"take {name} out of the list, or autostart off the node"
+            elif away and not passing.issuperset(services):
+                message = f"{dotted(at)} has {name} on the other side, and {', '.join(services)} and /bond do not pass the link"
+            if message:
+                yield Finding("FS563", at, message, fix, severity="warning")
+
+
 def no_private_keys(application: Application) -> Iterator[Finding]:
     """Reject private keys and credentials anywhere in a spec."""
     for path, key, text in _texts((), application.model_dump(mode="json")):
@@ -113,4 +144,12 @@ def _texts(path: Path, value: Any, key: str = "") -> Iterator[tuple[Path, str, s
         yield path, key, value
 
 
-RULES = (what_a_link_needs, missing_link, port_that_nobody_opens, words_of_a_link, names_that_pass, no_private_keys)
+RULES = (
+    what_a_link_needs,
+    missing_link,
+    port_that_nobody_opens,
+    words_of_a_link,
+    names_that_pass,
+    who_activates,
+    no_private_keys,
+)

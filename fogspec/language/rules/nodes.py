@@ -7,7 +7,7 @@ from typing import Any
 
 from fogspec.agent.graph_variables import RMW, is_of_graph
 from fogspec.base.yaml.positions import Path, dotted
-from fogspec.language.launch_text import STARTS
+from fogspec.language.launch_text import STARTS, has_substitution
 from fogspec.language.lockfile import REGISTRY_LOGIN, registry_login
 from fogspec.language.named_files import all_nodes
 from fogspec.language.robot_packages import MOVING_TOPIC, moving_names, why_moving
@@ -27,7 +27,7 @@ def kind_of_node(application: Application) -> Iterator[Finding]:
     """Require package and executable, or a plain process."""
     for path, node in all_nodes(application.spec):
         said: list[Path] = [(word,) for word in ROS_WORDS if getattr(node, word)]
-        said += [("launch", word) for word in ("allow_substs", "prefix") if getattr(node.launch, word)]
+        said += [("launch", word) for word in ("allow_substs", "autostart", "prefix") if getattr(node.launch, word)]
         if node.cmd is not None:
             for word in said:
                 message = f"{dotted((*path, *word))} is for ROS 2 nodes, and this one is a plain process"
@@ -39,6 +39,11 @@ def kind_of_node(application: Application) -> Iterator[Finding]:
                 "executable" if node.package else "package" if node.executable else "package and executable, or cmd"
             )
             yield Finding("FS501", path, f"{dotted(path)} must say {missing}", _missing_part(node))
+    for path, one in all_named(application.spec):
+        wanted = one.launch.autostart and one.cmd is None if isinstance(one, Node) else one.autostart
+        if wanted and (one.name is None or has_substitution(f"{one.namespace} {one.name}")):
+            message = f"{dotted(path)} must say its name, by which fogspec finds it to activate it (autostart)"
+            yield Finding("FS501", path, message, "add 'name: …', without a substitution")
 
 
 def _missing_part(node: Node) -> str:

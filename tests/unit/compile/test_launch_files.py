@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import launch_files, robot_launch
 from fogspec.compile.launch_source import flat
-from fogspec.compile.tasks import measured_processes
+from fogspec.compile.tasks import deployed_processes, measured_processes
 from fogspec.importers.launch import read_launch
 from fogspec.language.schema import Application
 from tests.support.launching import launched
@@ -144,6 +144,37 @@ def test_a_robot_without_nodes_still_gets_its_end_of_the_link(tmp_path):
         "SetEnvironmentVariable", "OpaqueFunction", "ExecuteProcess"
     ]  # fmt: skip
     assert robot_launch(application(), Layout.of("specs/x.yaml", "app")) is None
+
+
+MANAGED = [
+    {"package": "p", "executable": "e", "name": "planner", "namespace": "arm/", "launch": {"autostart": True}},
+    {"package": "p", "executable": "e", "name": "other"},
+    {**CONTAINER, "composable_node_descriptions": [
+        {"package": "p", "plugin": "p::P", "name": "map", "namespace": "/maps", "autostart": True},
+        {"package": "p", "plugin": "p::P", "name": "rest"},
+    ]},
+]  # fmt: skip
+
+
+def test_managed_nodes_are_activated_by_one_program_wherever_they_start(tmp_path):
+    words = ["--of", "/arm/planner", "--of", "/maps/map"]
+    spec = {"probe": {"service": "/plan"}, "benchmark": {"workload": {"node": {"cmd": ["./client"]}}}}
+    app = application(cloud=MANAGED, ros={}, **spec)
+    *nodes, activates, client = measured_processes(app.spec)[-5:]
+    assert activates == ["python3", "-m", "fogspec_agent.activate", *words]
+    assert [one["name"] for one in [*nodes, client]] == ["planner", "other", "vision", "client"]
+    assert deployed_processes(app)[-1] == {"argv": activates, "name": "activate", "respawn": "always"}
+    layout = written(application(robot=MANAGED, ros={}), tmp_path)
+    *nodes, activates = launched(layout.robot)
+    assert [one.kind for one in nodes] == ["Node", "Node", "ComposableNodeContainer"]
+    agent = activates.keywords["cmd"].pop(1)
+    assert Path(agent).resolve() == layout.agent.resolve()
+    assert activates.keywords == {
+        "cmd": ["python3", "activate", *words], "output": "screen", "respawn": True, "respawn_delay": 2.0,
+    }  # fmt: skip
+    plain = application(robot=MANAGED[1:2], cloud=MANAGED[1:2], ros={}, **spec)
+    assert "AGENT" not in written(plain, tmp_path).robot.read_text()
+    assert "activate" not in str(measured_processes(plain.spec)) + str(deployed_processes(plain))
 
 
 def test_without_ros_there_is_no_launch_file_for_the_cloud():

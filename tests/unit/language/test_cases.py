@@ -22,7 +22,7 @@ ELSEWHERE = {
     "FS903": "tests/unit/language/test_warned.py",
 }
 
-WARNINGS = {"FS523", "FS544", "FS546", "FS547", "FS560", "FS561"}
+WARNINGS = {"FS523", "FS544", "FS546", "FS547", "FS560", "FS561", "FS563"}
 # What the cases name, so that only what a case is about is wrong.
 THERE = ("plan.py", "data/kitchen")
 

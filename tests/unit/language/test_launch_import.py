@@ -308,6 +308,48 @@ return LaunchDescription([SetRemap('scan', '/first'), SetRemap('scan', '/second'
     ]  # fmt: skip
 
 
+def test_managed_nodes_are_activated_as_launch_does_or_it_is_said_that_nothing_does(tmp_path: Path) -> None:
+    body = """\
+from launch_ros.actions import LifecycleNode
+from launch_ros.descriptions import ComposableLifecycleNode
+from launch.substitutions import EnvironmentVariable
+def managed(name, **words):
+    return LifecycleNode(package='p', executable='e', name=name, namespace='', **words)
+return LaunchDescription([
+    DeclareLaunchArgument('auto', default_value='true'),
+    managed('one', autostart=True), managed('two', autostart=LaunchConfiguration('auto')), managed('three', autostart=False),
+    managed('four'), managed('managed'),
+    managed(EnvironmentVariable('X'), autostart=True),
+    Node(package='nav2_lifecycle_manager', executable='lifecycle_manager', parameters=[{'node_names': ['managed']}]),
+    ComposableNodeContainer(package='rclcpp_components', executable='component_container', name='box', namespace='',
+        composable_node_descriptions=[
+            ComposableLifecycleNode(package='p', plugin='p::P', name='five', autostart=True),
+            ComposableLifecycleNode(package='p', plugin='p::P', name='six'), ComposableNode(package='p', plugin='p::P')])])"""
+    found = read_launch(written(tmp_path, body))
+    by_name = {one.get("name"): one for one in nodes(found)}
+    wanted = [name for name, one in by_name.items() if one.get("launch", {}).get("autostart")]
+    assert [name for name in wanted if name] == ["one", "two"]
+    parts = by_name["box"]["composable_node_descriptions"]
+    assert [one.get("autostart", False) for one in parts] == [True, False, False]
+    said = [one.partition(" is a managed node")[0] for one in messages(found) if "nothing in the spec activates" in one]
+    assert said == ["three", "four", "six"]
+
+
+XML = """\
+<launch>
+  <lifecycle_node pkg="p" exec="e" name="one" namespace="" autostart="true"/>
+  <lifecycle_node pkg="p" exec="e" name="two" namespace=""/>
+</launch>
+"""
+
+
+def test_managed_nodes_of_xml(tmp_path: Path) -> None:
+    (tmp_path / "x.launch.xml").write_text(XML)
+    found = read_launch(tmp_path / "x.launch.xml")
+    assert [one.get("launch") for one in nodes(found)] == [{"autostart": True}, None]
+    assert [one.span.line for one in found.notes] == [3]
+
+
 def test_what_is_of_the_whole_graph_is_left_out_and_named(tmp_path: Path) -> None:
     body = """\
 return LaunchDescription([

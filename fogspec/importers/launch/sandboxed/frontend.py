@@ -15,7 +15,7 @@ from fogspec.importers.launch.sandboxed.values import Fatal, Place, Refused, Unk
 OF_ROS1 = {"machine", "rosparam", "test"}
 TYPES: dict[str, type] = {"str": str, "string": str, "int": int, "float": float, "double": float, "bool": bool}
 DEEPEST = 50
-STARTED = ("respawn", "respawn_delay", "cwd", "on_exit", "shell")
+STARTED = ("respawn", "respawn_delay", "cwd", "on_exit", "shell", "autostart")
 
 
 @dataclass(slots=True)
@@ -210,7 +210,7 @@ def _node(entity: Entity, kind: str = "Node") -> Any:
         if name in entity.attributes:
             words[word] = command_line(entity.attributes[name], entity.place)
     words["additional_env"] = _environment(entity)
-    if kind != "Node":
+    if kind == "ComposableNodeContainer":
         words["composable_node_descriptions"] = [_component(one) for one in entity.below("composable_node")]
     return made_of(kind, **words)
 
@@ -265,7 +265,8 @@ def _set_parameter(entity: Entity) -> Any:
 _let = _simple("SetLaunchConfiguration", name="name", value="value")
 _push = _simple("PushRosNamespace", namespace="namespace")
 TAGS: dict[str, Callable[[Entity], Any]] = {
-    "arg": _arg, "let": _let, "node": _node, "lifecycle_node": _node, "executable": _executable, "include": _include,
+    "arg": _arg, "let": _let, "node": _node, "executable": _executable, "include": _include,
+    "lifecycle_node": lambda entity: _node(entity, "LifecycleNode"),
     "node_container": lambda entity: _node(entity, "ComposableNodeContainer"), "load_composable_node": _load,
     "group": _group, "timer": _timer, "ros_timer": _timer, "push-ros-namespace": _push, "push_ros_namespace": _push,
     "set_env": _simple("SetEnvironmentVariable", name="name", value="value"),

@@ -15,14 +15,16 @@ from fogspec.importers.launch.sandboxed.values import Place, Unknown, about, att
 # How a process is shown and ended, which is no part of what runs, and what FogROS2's classes take over.
 QUIET = {
     "output", "output_format", "emulate_tty", "exec_name", "log_cmd", "cached_output", "sigterm_timeout", "sigkill_timeout",
-    "condition", "machine", "stream_topics", "to_cloud", "launch_prefix_filter", "autostart",
+    "condition", "machine", "stream_topics", "to_cloud", "launch_prefix_filter",
 }  # fmt: skip
 NODE = {
     "package", "executable", "name", "namespace", "parameters", "remappings", "arguments", "ros_arguments", "additional_env",
     "prefix", "respawn", "respawn_delay", "composable_node_descriptions", "node_name", "node_executable", "node_namespace",
+    "autostart",
 }  # fmt: skip
 PROCESS = {"cmd", "additional_env", "prefix", "shell", "name", "respawn", "respawn_delay"}
 LOADS: list[tuple[str, list[dict[str, Any]], Place]] = []  # components for a container that is started elsewhere
+MANAGED: list[tuple[str, Place]] = []  # the names of nodes that launch does not activate by itself, though they need it
 
 
 def full_name(raw: dict[str, Any]) -> str:
@@ -158,9 +160,32 @@ def _fill(raw: dict[str, Any], made: Made) -> None:
     started = _started(made)
     if raw.pop("allow_substs"):
         started["launch"]["allow_substs"] = True
+    if _autostart(made, raw):
+        started["launch"]["autostart"] = True
     raw |= started
     if (some := made.composable_node_descriptions) is not None:
         raw["composable_node_descriptions"] = components(some, made.place)
+
+
+def _autostart(made: Made, raw: dict[str, Any]) -> bool:
+    """Return whether launch activates a node; keep the name of one that is managed and that it does not activate."""
+    if not attempt(lambda: flag(made, "autostart", False), "autostart is", made.place, False):
+        if isinstance(made, (LifecycleNode, ComposableLifecycleNode)) and raw["name"]:
+            MANAGED.append((raw["name"], made.place))
+        return False
+    if raw["name"] and "$(" not in raw["name"] and raw["package"]:
+        return True
+    note(made.place, "autostart is not taken over: a spec has it for nodes of a package, with a name that is known here")
+    return False
+
+
+def activated() -> None:
+    """Note the managed nodes that nothing activates."""
+    managers = [one.get("parameters", {}).get("node_names", ()) for one in [*FOUND.cloud, *FOUND.robot]]
+    for name, place in MANAGED:
+        if not any(name in some for some in managers):
+            fix = "write launch: {autostart: true}, or autostart: true for a component"
+            note(place, f"{name} is a managed node, which nothing in the spec activates: {fix}")
 
 
 def _without_package(raw: dict[str, Any]) -> dict[str, Any]:
@@ -170,10 +195,11 @@ def _without_package(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 NAMES["launch_ros"] |= {"Node": Node, "RosNode": Node}
-for _name in ("LifecycleNode", "ComposableNodeContainer", "ComposableNodeContainerExtended"):
+for _name in ("ComposableNodeContainer", "ComposableNodeContainerExtended"):
     make("launch_ros", _name, base=Node)
+LifecycleNode = make("launch_ros", "LifecycleNode", base=Node)
 ComposableNode = make("launch_ros", "ComposableNode", base=Node)
-make("launch_ros", "ComposableLifecycleNode", base=ComposableNode)
+ComposableLifecycleNode = make("launch_ros", "ComposableLifecycleNode", base=ComposableNode)
 
 
 def components(items: Any, place: Place) -> list[dict[str, Any]]:
@@ -200,6 +226,7 @@ def components(items: Any, place: Place) -> list[dict[str, Any]]:
             raw["namespace"] = _namespace(one)
             for values in sequence(one.extra_arguments, one.place, pushed=False):
                 raw["extra_arguments"] |= values if isinstance(values, dict) else {}
+            raw["autostart"] = _autostart(one, raw)
             raw |= divided(sequence(one.parameters, one.place), full_name(raw), one.place)
             found.append(tidy({**raw, "remappings": _remappings(one.remappings, one.place)}))
     return found

@@ -64,6 +64,7 @@ def answer(question: Any) -> dict[str, Any]:
         while actions.LATER:
             made.visit(actions.LATER.pop(0))
         nodes.load()
+        nodes.activated()
         check()
     except Fatal as problem:
         failed = problem.why, problem.place, problem.fix
