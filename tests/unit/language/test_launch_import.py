@@ -350,6 +350,56 @@ def test_managed_nodes_of_xml(tmp_path: Path) -> None:
     assert [one.span.line for one in found.notes] == [3]
 
 
+NOT_ACTED_ON = """\
+<launch>
+  <arg name="mode" default="slow" description="how" unit="s"><choice value="slow"/><choice value="fast"/></arg>
+  <node pkg="p" exec="e" name="one" output="screen" launch-prefix="nice" required="true" sigterm_timeout="2">
+    <param name="a" value="1" unit="m"/>
+    <remap from="x" to="y"/>
+    <rosparam command="load"/>
+    <env name="A" value="1"/>
+  </node>
+  <node pkg="p" exec="e" name="two" if="false" required="true"/>
+  <group scoped="true" ns="arm"><node pkg="p" exec="e" name="three"/></group>
+  <include file="$(dirname)/none.launch.xml"><remap from="a" to="b"/></include>
+  <log message="hello" level="INFO"/>
+  <reset><keep name="mode" value="fast"/></reset>
+  <node pkg="p" exec="e" name="$(var mode)"/>
+</launch>
+"""
+
+
+def test_each_attribute_and_element_that_is_not_acted_on_is_noted_once(tmp_path: Path) -> None:
+    (tmp_path / "x.launch.xml").write_text(NOT_ACTED_ON.replace('    <rosparam command="load"/>\n', "    <wait/>\n"))
+    found = read_launch(tmp_path / "x.launch.xml")
+    assert messages(found)[0] == (
+        "unit of <arg>, required of <node>, unit of <param>, <wait> in <node> and <remap> in <include> and ns of <group> are "
+        "not taken over: a spec has no place for it (also in lines 3, 4, 6, 10 and 11)"
+    )
+    assert [one["name"] for one in nodes(found)] == ["one", "three", "fast"]
+
+
+def test_a_choice_of_xml_is_launch_s(tmp_path: Path) -> None:
+    (tmp_path / "x.launch.xml").write_text(NOT_ACTED_ON.replace("rosparam", "wait"))
+    with pytest.raises(DiagnosticError, match="must be one of slow, fast"):
+        read_launch(tmp_path / "x.launch.xml", {"mode": "medium"})
+
+
+def test_each_keyword_that_is_not_acted_on_is_noted_once(tmp_path: Path) -> None:
+    body = """\
+return LaunchDescription([
+    DeclareLaunchArgument('a', default_value='1', description='how', unit='s'), LogInfo(msg='hello'),
+    TimerAction(period=1.0, cancel_on_shutdown=False, actions=[]), GroupAction([], scoped=True, isolated=True),
+    Node(package='p', executable='e', name='one', output='screen', cwd='/tmp', respawn=False, respawn_delay=2.0),
+    ExecuteProcess(cmd=['ls'], name='list', on_exit=[Shutdown(reason='over')], sigkill_timeout='5'),
+    Node(package='p', executable='e', name='two', cwd='/tmp', condition=IfCondition('false'))])"""
+    found = read_launch(written(tmp_path, body))
+    assert messages(found)[0] == (
+        "unit of DeclareLaunchArgument, isolated of GroupAction, cwd of one and on_exit of ls are not taken over: a spec has "
+        "no place for it (also in lines 14, 15 and 16)"
+    )
+
+
 def test_what_is_of_the_whole_graph_is_left_out_and_named(tmp_path: Path) -> None:
     body = """\
 return LaunchDescription([

@@ -54,6 +54,7 @@ def action(name: str, *fields: str, library: str = "launch", base: type[Made] = 
 
 def _nothing(self: Any, context: Any) -> None:
     """Do nothing: it shows something, or it is launch's own business."""
+    self.given.left()
 
 
 for _name in ("LogInfo", "LogDebug", "LogWarning", "LogError", "Log", "UnregisterEventHandler", "SetLaunchLogDir"):
@@ -224,6 +225,7 @@ for _name in ("RosTimer", "ROSTimer"):
 @action("EmitEvent", "event")
 def _emitted(self: Made, context: Any) -> None:
     note(self.place, "an event, such as a lifecycle transition, is not taken over: the node starts without it")
+    self.given.left()
 
 
 action("Shutdown", "reason")(_emitted)

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from fogspec.importers.launch.sandboxed.made import NAMES, Action
+from fogspec.importers.launch.sandboxed.made import NAMES, Action, Given
 from fogspec.importers.launch.sandboxed.parameters import read
 from fogspec.importers.launch.sandboxed.text import command_line, parsed
 from fogspec.importers.launch.sandboxed.values import Fatal, Place, Refused, Unknown, whole
@@ -23,13 +23,25 @@ class Entity:
     """An element of XML, or an entry of YAML: its attributes, and what is in it, in order."""
 
     tag: str
-    attributes: dict[str, Any]
+    attributes: Given
     place: Place
     inside: list["Entity"] = field(default_factory=list)
+    tags: set[str] = field(default_factory=set)  # of what in it was read
+    is_action: bool = False
 
     def below(self, tag: str) -> list["Entity"]:
         """Return what is in it with this tag."""
+        self.tags.add(tag)
         return [one for one in self.inside if one.tag == tag]
+
+    def left(self) -> Iterator[tuple[Place, str]]:
+        """Yield what of it and in it was not read."""
+        yield from ((self.place, f"{name} of <{self.tag}>") for name, _ in self.attributes.left())
+        for one in self.inside:
+            if one.tag in self.tags:
+                yield from one.left()
+            elif not one.is_action:
+                yield one.place, f"<{one.tag}> in <{self.tag}>"
 
     def text(self, name: str) -> Any:
         """Return an attribute's texts and substitutions; None if it is not there."""
@@ -48,14 +60,14 @@ def entities(source: str, path: str) -> list[Any]:
 
 
 def _xml(source: str, path: str) -> list[Entity]:
-    root = Entity("", {}, whole(1, path))
+    root = Entity("", Given(), whole(1, path))
     stack, parser = [root], xml.parsers.expat.ParserCreate()
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
         place = whole(parser.CurrentLineNumber, path)
         if len(stack) > DEEPEST:
             raise Fatal(f"a launch file may be nested at most {DEEPEST} deep", place)
-        stack[-1].inside.append(one := Entity(tag, dict(attributes), place))
+        stack[-1].inside.append(one := Entity(tag, Given(attributes), place))
         stack.append(one)
 
     def doctype(*_: object) -> None:
@@ -118,7 +130,7 @@ def _entities(node: Any, path: str, depth: int) -> list[Entity]:
 def _entity(tag: str, node: Any, place: Place, depth: int) -> Entity:
     if depth > DEEPEST:
         raise Fatal(f"a launch file may be nested at most {DEEPEST} deep", place)
-    made = Entity(tag, {}, place)
+    made = Entity(tag, Given(), place)
     if isinstance(node, yaml.SequenceNode):
         made.inside = _entities(node, place[0], depth + 1)
     for key, below in node.value if isinstance(node, yaml.MappingNode) else ():
@@ -141,8 +153,10 @@ def made_of(name: str, /, *args: Any, **words: Any) -> Any:
 
 def action(entity: Entity) -> Any:
     """Return an entity's action, with its condition."""
-    do = TAGS.get(entity.tag)
-    return _at(do(entity) if do else type(f"<{entity.tag}>", (Action,), {})(), entity)
+    do, entity.is_action = TAGS.get(entity.tag), True
+    made = _at(do(entity) if do else type(f"<{entity.tag}>", (Action,), {})(), entity)
+    made.__dict__["left"] = [*entity.left()] if do else []
+    return made
 
 
 def _at(made: Any, entity: Entity) -> Any:
@@ -236,8 +250,16 @@ def _executable(entity: Entity) -> Any:
     return made_of("ExecuteProcess", cmd=cmd, additional_env=_environment(entity), **words)
 
 
+def _kept(entity: Entity) -> dict[str, Any]:
+    return {str(one.attributes.get("name")): one.text("value") for one in entity.below("keep")}
+
+
+def _reset(entity: Entity) -> Any:
+    return made_of("ResetLaunchConfigurations", _kept(entity))
+
+
 def _group(entity: Entity) -> Any:
-    kept = {str(one.attributes.get("name")): one.text("value") for one in entity.below("keep")}
+    kept = _kept(entity)
     some = [action(one) for one in entity.inside if one.tag != "keep"]
     return made_of("GroupAction", some, launch_configurations=kept, **entity.words("scoped", "forwarding"))
 
@@ -250,7 +272,8 @@ def _include(entity: Entity) -> Any:
 def _arg(entity: Entity) -> Any:
     if "value" in entity.attributes:
         return _let(entity)
-    return made_of("DeclareLaunchArgument", entity.text("name"), default_value=entity.text("default"))
+    choices = [one.attributes.get("value") for one in entity.below("choice")]
+    return made_of("DeclareLaunchArgument", entity.text("name"), default_value=entity.text("default"), choices=choices)
 
 
 def _timer(entity: Entity) -> Any:
@@ -274,7 +297,7 @@ TAGS: dict[str, Callable[[Entity], Any]] = {
     "append_env": _simple("AppendEnvironmentVariable", name="name", value="value", prepend="prepend"),
     "set_remap": _simple("SetRemap", src="from", dst="to"), "set_parameter": _set_parameter,
     "set_use_sim_time": _simple("SetUseSimTime", value="value"),
-    "set_parameters_from_file": _simple("SetParametersFromFile", filename="filename"), "log": _simple("LogInfo"),
-    "log_info": _simple("LogInfo"), "set_ros_log_dir": _simple("SetROSLogDir"), "shutdown": _simple("Shutdown"),
-    "reset": _simple("ResetLaunchConfigurations"),
+    "set_parameters_from_file": _simple("SetParametersFromFile", filename="filename"), "reset": _reset,
+    "log": _simple("LogInfo", msg="message", level="level"), "log_info": _simple("LogInfo", msg="message"),
+    "set_ros_log_dir": _simple("SetROSLogDir", new_log_dir="new_log_dir"), "shutdown": _simple("Shutdown", reason="reason"),
 }  # fmt: skip

@@ -14,6 +14,38 @@ NAMES: dict[str, dict[str, Any]] = {
 }  # classes by library
 
 
+# How a process is shown and ended, and what people are shown, which is no part of what runs; what FogROS2's classes take over.
+HARMLESS = {
+    "output", "output_format", "emulate_tty", "exec_name", "log_cmd", "cached_output", "sigterm_timeout", "sigkill_timeout",
+    "condition", "machine", "stream_topics", "to_cloud", "launch_prefix_filter", "description", "cancel_on_shutdown",
+}  # fmt: skip
+
+
+class Given(dict[str, Any]):
+    """Arguments or attributes by name, which knows which of them were read."""
+
+    def __init__(self, *some: Any) -> None:
+        super().__init__(*some)
+        self.read: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        self.read.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return one, or the default."""
+        self.read.add(name)
+        return super().get(name, default)
+
+    def left(self) -> list[tuple[str, Any]]:
+        """Return what nothing has read and says something, but what is harmless; once."""
+        found = [(name, super(Given, self).get(name)) for name in sorted(self.keys() - self.read - HARMLESS)]
+        self.read.update(self)
+        return [
+            one for one in found if not (one[1] is None or one[1] is False or (isinstance(one[1], list) and not one[1]))
+        ]
+
+
 class Made:
     """An action, substitution or description: what its class was given, by the names of its arguments."""
 
@@ -27,10 +59,10 @@ class Made:
             raise TypeError(
                 f"{type(self).__name__} takes {len(self.FIELDS)} positional arguments, {len(args)} were given"
             )
-        self.__dict__.update(place=here(), given={**dict(zip(self.FIELDS, args, strict=False)), **words})
+        self.__dict__.update(place=here(), given=Given({**dict(zip(self.FIELDS, args, strict=False)), **words}))
 
     def __getattr__(self, name: str) -> Any:
-        given = self.__dict__.setdefault("given", {})
+        given = self.__dict__.setdefault("given", Given())
         if name in given:
             return given[name]
         if name.startswith("__") or name in ("perform", "execute", "visit", "place"):
@@ -41,7 +73,7 @@ class Made:
 
     def word(self, name: str, default: Any = None) -> Any:
         """Return an argument, or the default where it is none."""
-        value = self.__dict__.setdefault("given", {}).get(name, default)
+        value = self.__dict__.setdefault("given", Given()).get(name, default)
         return default if value is None else value
 
 
@@ -125,13 +157,26 @@ class Action(Made):
     def execute(self, context: Any) -> Any:
         """Play the action; return actions that it starts."""
         note(where(self), f"{type(self).__name__} is not taken over")
+        self.given.left()
 
     def visit(self, context: Any) -> Any:
-        """Play the action if its condition holds."""
-        return self.execute(context) if applies(self) else None
+        """Play the action if its condition holds; note what of it was not read."""
+        if not applies(self):
+            return None
+        found = self.execute(context)
+        unread(self, f" of {type(self).__name__}")
+        for place, what in self.__dict__.get("left", ()):
+            note(place, f"{what} is not taken over: a spec has no place for it")
+        return found
 
 
 NAMES["launch"]["Action"] = Action
+
+
+def unread(made: Made, whose: str = "") -> None:
+    """Note what an object was given that nothing has read."""
+    for name, value in made.given.left():
+        note(where(value) or made.place, f"{name}{whose} is not taken over: a spec has no place for it")
 
 
 def visit(entity: Any) -> None:

@@ -8,21 +8,15 @@ from typing import Any
 from fogspec.importers.launch.found import ros_words, tidy
 from fogspec.importers.launch.sandboxed.actions import action, flag
 from fogspec.importers.launch.sandboxed.context import CONTEXT, FOUND, all_said, environment, perform, said
-from fogspec.importers.launch.sandboxed.made import NAMES, Action, Made, applies, make, where
+from fogspec.importers.launch.sandboxed.made import NAMES, Action, Made, applies, make, unread, where
 from fogspec.importers.launch.sandboxed.parameters import divided, file_of, sequence, taken
 from fogspec.importers.launch.sandboxed.values import Place, Unknown, about, attempt, note
 
-# How a process is shown and ended, which is no part of what runs, and what FogROS2's classes take over.
-QUIET = {
-    "output", "output_format", "emulate_tty", "exec_name", "log_cmd", "cached_output", "sigterm_timeout", "sigkill_timeout",
-    "condition", "machine", "stream_topics", "to_cloud", "launch_prefix_filter",
-}  # fmt: skip
 NODE = {
     "package", "executable", "name", "namespace", "parameters", "remappings", "arguments", "ros_arguments", "additional_env",
     "prefix", "respawn", "respawn_delay", "composable_node_descriptions", "node_name", "node_executable", "node_namespace",
     "autostart",
 }  # fmt: skip
-PROCESS = {"cmd", "additional_env", "prefix", "shell", "name", "respawn", "respawn_delay"}
 LOADS: list[tuple[str, list[dict[str, Any]], Place]] = []  # components for a container that is started elsewhere
 MANAGED: list[tuple[str, Place]] = []  # the names of nodes that launch does not activate by itself, though they need it
 
@@ -101,9 +95,9 @@ def _started(made: Made) -> dict[str, Any]:
         env |= {pair[0]: pair[1]} if pair else {}
     prefix = text_of(made, "prefix")
     words: dict[str, Any] = {"prefix": prefix} if prefix else {}
+    delay = attempt(lambda: _number(made.word("respawn_delay", 0.0)), "respawn_delay is", made.place, 0.0)
     if attempt(lambda: flag(made, "respawn", False), "respawn is", made.place, False):
         words["respawn"] = True
-        delay = attempt(lambda: _number(made.word("respawn_delay", 0.0)), "respawn_delay is", made.place, 0.0)
         words |= {"respawn_delay": f"{delay:g}s"} if delay > 0 else {}
     return {"env": env, "launch": words}
 
@@ -113,13 +107,6 @@ def _number(value: Any) -> float:
         return float(said(value))
     except ValueError:
         return 0.0
-
-
-def _others(made: Made, known: set[str]) -> None:
-    for word in sorted(made.given.keys() - known - QUIET):
-        value = made.given[word]
-        if not (value is None or value is False or (isinstance(value, list) and not value)):
-            note(where(value) or made.place, f"{word} is not taken over: a spec has no place for it")
 
 
 class Node(Action):
@@ -150,7 +137,6 @@ def node(made: Made) -> dict[str, Any] | None:
 
 
 def _fill(raw: dict[str, Any], made: Made) -> None:
-    _others(made, NODE)
     raw |= {"namespace": _namespace(made), "place": made.place}
     raw |= divided(sequence(made.parameters, made.place), full_name(raw), made.place)
     raw["remappings"] = _remappings(made.remappings, made.place)
@@ -165,6 +151,7 @@ def _fill(raw: dict[str, Any], made: Made) -> None:
     raw |= started
     if (some := made.composable_node_descriptions) is not None:
         raw["composable_node_descriptions"] = components(some, made.place)
+    unread(made)
 
 
 def _autostart(made: Made, raw: dict[str, Any]) -> bool:
@@ -175,7 +162,9 @@ def _autostart(made: Made, raw: dict[str, Any]) -> bool:
         return False
     if raw["name"] and "$(" not in raw["name"] and raw["package"]:
         return True
-    note(made.place, "autostart is not taken over: a spec has it for nodes of a package, with a name that is known here")
+    note(
+        made.place, "autostart is not taken over: a spec has it for nodes of a package, with a name that is known here"
+    )
     return False
 
 
@@ -229,6 +218,7 @@ def components(items: Any, place: Place) -> list[dict[str, Any]]:
             raw["autostart"] = _autostart(one, raw)
             raw |= divided(sequence(one.parameters, one.place), full_name(raw), one.place)
             found.append(tidy({**raw, "remappings": _remappings(one.remappings, one.place)}))
+            unread(one)
     return found
 
 
@@ -241,10 +231,11 @@ def ExecuteProcess(self: Made, context: Any) -> None:
         note(self.place, "a process whose command is not known is left out")
         return
     with about(os.path.basename(argv[0])):
-        _others(self, PROCESS)
         raw = _started(self)
+        shell = attempt(lambda: flag(self, "shell", False), "shell is", self.place, False)
+        self.given.get("name")  # of a process, which launch prints
+        unread(self)
     argv = [*shlex.split(raw["launch"].pop("prefix", "")), *argv]
-    shell = attempt(lambda: flag(self, "shell", False), "shell is", self.place, False)
     start({**raw, "cmd": ["sh", "-c", " ".join(argv)] if shell else argv, "place": self.place}, is_cloud(self))
 
 
