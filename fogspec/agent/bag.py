@@ -13,7 +13,7 @@ import re
 import sqlite3
 import sys
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,12 @@ from .records import Condition, Done, Writer, field_of
 # Set-up installs the packages of this module here; last on the path, so that the machine's own packages win.
 INSTALLED = os.path.expanduser("~/.fogspec/python")
 sys.path.append(INSTALLED)
+MOST_BYTES = 2**30  # of a message
 HEADER_FIRST = re.compile(r"(?:\s*(?:#.*)?\n)*\s*(?:std_msgs/(?:msg/)?)?Header\s+\w+")
 COMPRESSED = (".zstd", ".zst", ".lz4")
+ZSTD = b"\x28\xb5\x2f\xfd"  # what a frame begins with (RFC 8878); a message begins with 0, whatever the metadata say
+PROFILE = re.compile(r"(reliability|durability): *(\w+)")  # of recorded qualities: numbers before Jazzy, words since
+BEST_EFFORT, TRANSIENT_LOCAL = ("2", "best_effort"), ("1", "transient_local")
 
 
 class BagError(Exception):
@@ -35,8 +39,8 @@ class BagError(Exception):
 class Message:
     """One recorded message.
 
-    `kind` is `package/msg/Name`, `at_s` the time of recording, `data` the CDR, and `definition` the text of the type if the
-    bag contains it.
+    `kind` is `package/msg/Name`, `at_s` the time of recording, `data` the CDR, `definition` the text of the type if the
+    bag contains it, and `offered` the qualities of those that published the topic, as YAML.
     """
 
     topic: str
@@ -44,6 +48,16 @@ class Message:
     at_s: float
     data: bytes
     definition: str = ""
+    offered: str = ""
+
+
+def offers(recorded: str) -> tuple[bool, bool]:
+    """Return whether a topic was offered reliably and latched, or as `ros2 bag play` has it where offers differ."""
+    found = PROFILE.findall(recorded)
+    reliable = {value not in BEST_EFFORT for what, value in found if what == "reliability"}
+    latched = {value in TRANSIENT_LOCAL for what, value in found if what == "durability"}
+    same = len(reliable) == len(latched) == 1
+    return (reliable.pop(), latched.pop()) if same else (True, False)
 
 
 def messages(path: Path, topics: Collection[str] | None = None) -> Iterator[Message]:
@@ -53,7 +67,21 @@ def messages(path: Path, topics: Collection[str] | None = None) -> Iterator[Mess
     """
     for file in storage_files(path):
         read = _read_db3 if file.suffix == ".db3" else _read_mcap
-        yield from read(file, topics)
+        for message in read(file, topics):
+            yield replace(message, data=_unpacked(message.data, file)) if message.data[:4] == ZSTD else message
+
+
+def _unpacked(data: bytes, file: Path) -> bytes:
+    try:
+        import zstandard
+    except ImportError as problem:
+        raise BagError(f"{file} is compressed: it needs the PyPI package zstandard") from problem
+    try:
+        if not 0 <= zstandard.frame_content_size(data) <= MOST_BYTES:
+            raise BagError(f"{file} has a compressed message that does not say its size")
+        return zstandard.ZstdDecompressor().decompress(data)
+    except zstandard.ZstdError as problem:
+        raise BagError(f"{file} has a compressed message that is damaged: {problem}") from problem
 
 
 def storage_files(path: Path) -> list[Path]:
@@ -62,7 +90,7 @@ def storage_files(path: Path) -> list[Path]:
         raise BagError(f"the bag {path} is not there")
     found = [path] if path.is_file() else [file for file in path.iterdir() if file.suffix in (".db3", ".mcap")]
     if not found and any(file.suffix in COMPRESSED for file in path.iterdir()):
-        raise BagError(f"{path} is compressed file by file: decompress it with 'ros2 bag convert'")
+        raise BagError(f"{path} is compressed file by file: run zstd -d --rm {path}/*.zst*")
     if not found:
         raise BagError(f"{path} holds no .db3 or .mcap file")
     if found[0].suffix not in (".db3", ".mcap"):
@@ -82,17 +110,20 @@ def _read_db3(file: Path, topics: Collection[str] | None) -> Iterator[Message]:
     count = 0
     try:
         with contextlib.closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as base:
-            kinds = {row[0]: row[1:] for row in base.execute("SELECT id, name, type FROM topics")}
+            listed = "SELECT id, name, type, '' FROM topics"  # before Foxy
+            if "offered_qos_profiles" in [row[1] for row in base.execute("PRAGMA table_info(topics)")]:
+                listed = "SELECT id, name, type, offered_qos_profiles FROM topics"
+            kinds = {row[0]: row[1:] for row in base.execute(listed)}
             definitions: dict[str, str] = {}
             with contextlib.suppress(sqlite3.OperationalError):  # not before Iron
                 definitions = dict(
                     base.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
                 )
             for topic, at_ns, data in base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id"):
-                name, kind = kinds[topic]
+                name, kind, offered = kinds[topic]
                 count += 1
                 if topics is None or name in topics:
-                    yield Message(name, kind, at_ns / 1e9, data, definitions.get(kind, ""))
+                    yield Message(name, kind, at_ns / 1e9, data, definitions.get(kind, ""), offered or "")
     except (sqlite3.Error, KeyError, TypeError) as problem:
         raise BagError(f"{file} is damaged or cut off after {count} messages: {problem}") from problem
 
@@ -110,7 +141,7 @@ def _read_mcap(file: Path, topics: Collection[str] | None) -> Iterator[Message]:
     count = 0
     try:
         with open(file, "rb") as stream:
-            for record in StreamReader(stream, record_size_limit=2**30).records:
+            for record in StreamReader(stream, record_size_limit=MOST_BYTES).records:
                 if isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
@@ -121,7 +152,10 @@ def _read_mcap(file: Path, topics: Collection[str] | None) -> Iterator[Message]:
                     if topics is None or channel.topic in topics:
                         schema = schemas[channel.schema_id]
                         definition = schema.data.decode("utf-8", "replace") if schema.encoding == "ros2msg" else ""
-                        yield Message(channel.topic, schema.name, record.log_time / 1e9, record.data, definition)
+                        offered = channel.metadata.get("offered_qos_profiles", "")
+                        yield Message(
+                            channel.topic, schema.name, record.log_time / 1e9, record.data, definition, offered
+                        )
     # The library does not wrap the errors of its decompressors.
     except (McapError, OSError, ValueError, KeyError, EOFError, AttributeError, RuntimeError) as problem:
         reason = str(problem) or type(problem).__name__

@@ -4,9 +4,10 @@
     python3 agent.pyz player --bag data/calls --service /plan --rate 5 --success 'found == true'
 
 The bag is played forwards and backwards, so that successive requests stay neighbours and the scene never jumps. A request
-is sent with all messages recorded since the previous one, on every topic that has a subscriber and no other publisher;
-headers get new stamps at the same distances. Requests of a service are read from its `_service_event` topic. It needs
-the standard library and rclpy, and the PyPI package `mcap` for mcap bags.
+is sent with all messages recorded since the previous one, on every topic that has a subscriber and no other publisher, with
+the quality that was offered. Headers, wherever they are, get new stamps at the same distances, and nodes with `use_sim_time`
+the time of these. Hidden topics are left out, and those whose type is not here. Requests of a service are read from its
+`_service_event` topic. It needs the standard library and rclpy, and the PyPI package `mcap` for mcap bags.
 """
 
 import argparse
@@ -14,21 +15,24 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .bag import BagError, Message, messages
+from .bag import BagError, Message, messages, offers
 from .causes import OWN, Managed
 from .matching import stamp_of, with_stamp
 from .records import VERDICT, Condition, Stamp, Writer
 from .ros import listening_qos, message_of, need_rclpy, offers_reliably, type_of
+from .stamps import SECOND, Clock, Headers, headers, shift, shifted
 
 START_S = 120.0
 SETTLE_S = 0.5
+LEAD_S = 0.01  # between the last of the other messages and the request
 ACTIVE_S = 20.0  # for a node to become active that has its publisher and subscription
 IGNORED = ("/rosout", "/parameter_events", "/clock")
+HIDDEN = "/_"  # in a name, of the topics that actions and services are made of
 MEMORY_BYTES = 2**31
 REQUEST_SENT, REQUEST_RECEIVED = 0, 1  # service_msgs/msg/ServiceEventInfo
 
@@ -75,23 +79,52 @@ def there_and_back(count: int) -> Iterator[int]:
         yield from range(count - 2, 0, -1)
 
 
+def is_latched(message: Message) -> bool:
+    """Return whether a message's topic was offered to those that come later."""
+    return offers(message.offered)[1] or message.topic.endswith("/tf_static")
+
+
 class Topics:
     """Send a turn's messages, each with a new stamp."""
 
-    def __init__(self, node: Any, found: list[Turn], options: argparse.Namespace) -> None:
-        self.node, self.turns, self.request = node, found, options.request
-        kinds = {message.topic: message.kind for turn in found for message in [turn.request, *turn.before]}
-        kinds.pop(options.response, None)
-        types = {topic: message_of(kind) for topic, kind in kinds.items()}
-        self.headed = {topic for topic, (_, has_header) in types.items() if has_header}
+    def __init__(self, node: Any, found: list[Turn], options: argparse.Namespace, clock: Clock) -> None:
+        self.node, self.turns, self.request, self.clock = node, found, options.request, clock
+        first = {one.topic: one for turn in reversed(found) for one in reversed([*turn.before, turn.request])}
+        first.pop(options.response, None)
+        self.types, self.headers, self.headed = dict[str, Any](), dict[str, Headers](), set[str]()
+        self._take_types(first)
         self.responses = 0
         self.last_stamp: Stamp | None = None
         self._subscribe_to(options.response)
-        self.publishers = {options.request: self._publisher(options.request, types)}
+        self.publishers = {options.request: self._publisher(first[options.request])}
         self._wait(self._is_heard, "subscribes to", options.request)
-        for topic in types:
+        for topic in self.types:
             if topic != options.request and node.count_subscribers(topic) and not node.count_publishers(topic):
-                self.publishers[topic] = self._publisher(topic, types)
+                self.publishers[topic] = self._publisher(first[topic])
+        # What was published once, nodes may have to have before the first request.
+        latched = {topic for topic in self.publishers if is_latched(first[topic])} - {options.request}
+        self._send_others(found[0], node.get_clock().now().nanoseconds, latched)
+        # A node may take messages of several topics in another order than they came.
+        self.lead_s = min(LEAD_S, 0.25 / options.rate) if options.rate else LEAD_S
+
+    def _take_types(self, first: dict[str, Message]) -> None:
+        """Load the types of what is played, and print in a line what cannot be."""
+        without: list[str] = []
+        for topic, message in first.items():
+            if HIDDEN in topic and topic != self.request:
+                continue
+            try:
+                message_type, begins = message_of(message.kind)
+                self.headers[topic] = headers(message_type)
+            except SystemExit:
+                if topic == self.request:
+                    raise
+                without.append(f"{topic} ({message.kind})")
+                continue
+            self.types[topic] = message_type
+            self.headed |= {topic} if begins else set()
+        if without:
+            print(f"left out, for their types are not here: {', '.join(without)}", flush=True)
 
     def _is_heard(self) -> bool:
         """Return whether a node other than this package's subscribes to the requests, and all that do have been joined."""
@@ -99,12 +132,15 @@ class Topics:
         joined = self.publishers[self.request].get_subscription_count()
         return joined >= len(known) and any(not one.node_name.startswith(OWN) for one in known)
 
-    def _publisher(self, topic: str, types: dict[str, Any]) -> Any:
-        from rclpy.qos import DurabilityPolicy, QoSProfile
+    def _publisher(self, message: Message) -> Any:
+        """Return a publisher that offers what was offered when the bag was recorded."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-        kept = topic.endswith("/tf_static") or topic == "/tf_static"
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE
-        return self.node.create_publisher(types[topic][0], topic, QoSProfile(depth=100, durability=durability))
+        reliable, latched = offers(message.offered)[0], is_latched(message)
+        quality = QoSProfile(depth=100)
+        quality.reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        quality.durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        return self.node.create_publisher(self.types[message.topic], message.topic, quality)
 
     def _subscribe_to(self, topic: str) -> None:
         self._wait(lambda: bool(dict(self.node.get_topic_names_and_types()).get(topic)), "publishes", topic)
@@ -133,26 +169,41 @@ class Topics:
 
     def send(self, number: int) -> Callable[[], bool]:
         """Send one turn; return a function that tells whether there was a response since."""
-        turn, now = self.turns[number], self.node.get_clock().now().nanoseconds
-        old = self._nanoseconds(turn.request)
-        before = self.responses
-        for message in [*turn.before, turn.request]:
-            if message.topic in self.publishers:
-                self.publishers[message.topic].publish(self._restamped(message, now, old))
+        turn, before = self.turns[number], self.responses
+        lead_s = self.lead_s if any(one.topic in self.publishers for one in turn.before) else 0.0
+        now_ns = self.node.get_clock().now().nanoseconds + round(lead_s * SECOND)
+        self.clock.give()
+        by_ns = self._send_others(turn, now_ns, self.publishers)
+        spin(self.node, lead_s)
+        request = self._restamped(turn.request, by_ns)
+        if self.request in self.headed:
+            self.last_stamp = divmod(now_ns, SECOND)
+            request = with_stamp(request, self.last_stamp)
+        self.publishers[self.request].publish(request)
         return lambda: self.responses > before
 
-    def _nanoseconds(self, message: Message) -> int:
-        seconds, nanoseconds = stamp_of(message.data) if message.topic in self.headed else (0, 0)
-        return seconds * 10**9 + nanoseconds
+    def _send_others(self, turn: Turn, now_ns: int, topics: Container[str]) -> int:
+        """Send what was recorded before the request; return by how much stamps move."""
+        # All keep their distance to the request, by their stamps if it has one.
+        seconds, rest = stamp_of(turn.request.data) if self.request in self.headed else (0, 0)
+        by_ns = now_ns - (seconds * SECOND + rest or round(turn.request.at_s * SECOND))
+        for message in turn.before:
+            if message.topic in topics:
+                self.publishers[message.topic].publish(self._restamped(message, by_ns))
+        return by_ns
 
-    def _restamped(self, message: Message, now: int, old: int) -> bytes:
-        if message.topic not in self.headed:
+    def _restamped(self, message: Message, by_ns: int) -> bytes:
+        from rclpy.serialization import deserialize_message, serialize_message
+
+        fields = self.headers[message.topic]
+        if len(fields) == 1 and message.topic in self.headed:
+            at = shifted(stamp_of(message.data), by_ns)
+            return message.data if at is None else with_stamp(message.data, at)
+        if not fields:
             return message.data
-        at = self._nanoseconds(message) + now - old if self.request in self.headed else now
-        new = (at // 10**9, at % 10**9)
-        if message.topic == self.request:
-            self.last_stamp = new
-        return with_stamp(message.data, new)
+        whole = deserialize_message(message.data, self.types[message.topic])
+        shift(whole, fields, by_ns)
+        return bytes(serialize_message(whole))
 
 
 class Service:
@@ -200,16 +251,21 @@ class Service:
             sys.exit(str(problem))
 
 
-def settle(node: Any) -> None:
-    """Let discovery settle, and managed nodes become active, which else lose the first request. Some never do."""
+def spin(node: Any, for_s: float) -> None:
+    """Take what comes for so long."""
     import rclpy
 
+    until_s = time.monotonic() + for_s
+    while (left_s := until_s - time.monotonic()) > 0:
+        rclpy.spin_once(node, timeout_sec=left_s)
+
+
+def settle(node: Any) -> None:
+    """Let discovery settle, and managed nodes become active, which else lose the first request. Some never do."""
     managed, until_s = Managed(node), time.monotonic() + ACTIVE_S
     while True:
         managed.ask()
-        asked_s = time.monotonic()
-        while time.monotonic() < asked_s + SETTLE_S:
-            rclpy.spin_once(node, timeout_sec=0.1)
+        spin(node, SETTLE_S)
         if managed.all_active() or time.monotonic() > until_s:
             return
 
@@ -257,9 +313,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rclpy.init()
     node = rclpy.create_node("fogspec_player")
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        sender = Service(node, found, options) if options.service else Topics(node, found, options)
+        clock = Clock(node)
+        sender = Service(node, found, options) if options.service else Topics(node, found, options, clock)
         count = len(sender.requests) if isinstance(sender, Service) else len(found)
         settle(node)
+        clock.give()
         play(node, sender, count, options.rate, options.timeout)
 
 

@@ -31,8 +31,11 @@ UNCERTAIN = re.compile(
 NO_PACKAGES = ("build", "install", "log")
 MARKERS = ("COLCON_IGNORE", "AMENT_IGNORE")
 MOST_FILES = 200
-TOPIC = re.compile(r"topic_metadata:\s+name: ['\"]?(/[\w/]+)")
+TOPIC = re.compile(
+    r"topic_metadata:\s+name: ['\"]?(/[\w/]+)(?:(?:(?!topic_metadata:).)*?message_count: (\d+))?", re.DOTALL
+)
 EVENT = "/_service_event"
+STORED, PACKED = (".db3", ".mcap"), (".zst", ".zstd")  # files of a bag
 
 
 def missing_files(application: Application, folder: Path, tree: Tree | None, measured: bool) -> Iterator[Finding]:
@@ -217,20 +220,26 @@ def _parameters(path: FieldPath, node: Node, package: Path) -> Iterator[Finding]
 def _recorded(spec: Spec, folder: Path) -> Iterator[Finding]:
     """Find that a bag of rosbag2 has no message of what is to be sent; a file of MCAP alone is not read here."""
     bag, probe = spec.benchmark.workload.bag, spec.probe
+    at: FieldPath = ("spec", "benchmark", "workload", "bag")
     wanted = f"{probe.service}{EVENT}" if probe.service else probe.request
     if bag is None or wanted is None:
         return
     try:
+        kinds = {one.suffix for one in (folder / bag).iterdir()}
+        if kinds.intersection(PACKED) and not kinds.intersection(STORED):
+            message = f"spec.benchmark.workload.bag names {bag}, which is compressed file by file, and is not played so"
+            yield Finding(CODE, at, message, f"run 'zstd -d --rm {bag}/*.zst*' in the spec's folder")
+            return
         listed = read_file(folder / bag / "metadata.yaml", MOST_BYTES).decode("utf-8", "replace")
     except OSError:
         return
-    topics, wanted = sorted(set(TOPIC.findall(listed))), absolute(wanted)
+    topics, wanted = sorted({name for name, count in TOPIC.findall(listed) if count != "0"}), absolute(wanted)
     if not topics or wanted in topics:
         return
     message = f"spec.benchmark.workload.bag names {bag}, which has no message of {wanted}"
     near = closest(wanted, topics)
     fix = f"the bag has {near}: name it in spec.probe, or record {wanted}" if near else f"the bag has {some(topics)}"
-    yield Finding(CODE, ("spec", "benchmark", "workload", "bag"), message, fix, (("spec", "probe"),))
+    yield Finding(CODE, at, message, fix, (("spec", "probe"),))
 
 
 def _exists(path: Path) -> bool:

@@ -5,13 +5,16 @@ import sqlite3
 import struct
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
+import zstandard
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from fogspec.agent import bag, player
+from fogspec.agent import bag, player, stamps
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMU, POSE = "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped"
@@ -43,9 +46,20 @@ def pose(stamp_s: float, x: float) -> bytes:
     return bytes(STORE.serialize_cdr(STORE.types[POSE](header=header(stamp_s), pose=whole), POSE))
 
 
+class Packed(Writer):
+    """Writes messages that are compressed one by one, if `mode` says so."""
+
+    mode = CompressionMode.NONE
+
+    def open(self) -> None:
+        if self.mode is not CompressionMode.NONE:
+            self.set_compression(self.mode, CompressionFormat.ZSTD)
+        super().open()
+
+
 def record(path: Path, plugin: StoragePlugin, count: int = 20, jump_at: int | None = None) -> Path:
     """Requests every 125 ms, each answered after 20 ms; x is the number of the answer. Clock set back an hour at `jump_at`."""
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
+    with Packed(path, version=9, storage_plugin=plugin) as writer:
         asked = writer.add_connection("/imu", IMU, typestore=STORE)
         answered = writer.add_connection("/pose", POSE, typestore=STORE)
         for i in range(count):
@@ -134,9 +148,100 @@ def test_what_is_not_there_or_empty_or_compressed(tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     assert "holds no .db3 or .mcap file" in read(tmp_path / "empty", tmp_path, monkeypatch)[1]
     (tmp_path / "empty" / "run_0.db3.zstd").write_bytes(b"x")
-    assert "ros2 bag convert" in read(tmp_path / "empty", tmp_path, monkeypatch)[1]
+    assert "run zstd -d --rm" in read(tmp_path / "empty", tmp_path, monkeypatch)[1]
     (tmp_path / "text.txt").write_bytes(b"x")
     assert "must be a folder that rosbag2 wrote" in read(tmp_path / "text.txt", tmp_path, monkeypatch)[1]
+
+
+@BOTH
+def test_messages_that_are_compressed_one_by_one_are_unpacked(tmp_path, monkeypatch, plugin):
+    """As rosbag2 compresses them: whatever the metadata say, a message never begins like a frame of zstd."""
+    plain = [*bag.messages(record(tmp_path / "plain", plugin))]
+    monkeypatch.setattr(Packed, "mode", CompressionMode.MESSAGE)
+    record(tmp_path / "packed", plugin)
+    assert [*bag.messages(tmp_path / "packed")] == plain
+    stored = b"".join(path.read_bytes() for path in bag.storage_files(tmp_path / "packed"))
+    assert bag.ZSTD in stored, "it is compressed"
+    (tmp_path / "packed" / "metadata.yaml").unlink()
+    records, end = read(tmp_path / "packed", tmp_path, monkeypatch)
+    assert (end, len([one for one in records if one.get("ok")])) == (None, 19)
+
+
+@pytest.mark.parametrize(("data", "why"), [
+    (bag.ZSTD + b"\x20\x05" + b"\xff" * 20, "damaged"), (bag.ZSTD, "damaged"), (b"(\xb5/\xfd\x00X", "does not say its size"),
+    (zstandard.compress(b"\0" * 99)[:-5], "damaged"),
+])  # fmt: skip
+def test_a_damaged_compressed_message_is_told(data, why):
+    with pytest.raises(bag.BagError, match=why):
+        bag._unpacked(data, Path("run.db3"))
+
+
+OLD = "- history: 3\n  depth: 0\n  reliability: {}\n  durability: {}\n"
+NEW = "- history: unknown\n  depth: 0\n  reliability: {}\n  durability: {}\n  liveliness: automatic\n"
+
+
+@pytest.mark.parametrize(("recorded", "offered"), [
+    ("", (True, False)), ("[]", (True, False)),
+    (OLD.format(1, 2), (True, False)), (OLD.format(2, 2), (False, False)), (OLD.format(1, 1), (True, True)),
+    (NEW.format("reliable", "volatile"), (True, False)), (NEW.format("best_effort", "volatile"), (False, False)),
+    (NEW.format("reliable", "transient_local") * 2, (True, True)),
+    (NEW.format("reliable", "volatile") + NEW.format("best_effort", "volatile"), (True, False)),
+    (NEW.format("reliable", "volatile") + NEW.format("reliable", "transient_local"), (True, False)),
+])  # fmt: skip
+def test_qualities_are_offered_as_rosbag2_offers_them(recorded, offered):
+    """rosbag2_transport: one offer is offered again; where several differ, the default one, reliable and volatile."""
+    assert bag.offers(recorded) == offered
+
+
+@BOTH
+def test_the_offers_are_in_the_bag(tmp_path, plugin):
+    best = Qos(
+        QosHistory.KEEP_LAST, 5, QosReliability.BEST_EFFORT, QosDurability.TRANSIENT_LOCAL, QosTime(0, 0), QosTime(0, 0),
+        QosLiveliness.AUTOMATIC, QosTime(0, 0), False,
+    )  # fmt: skip
+    with Writer(tmp_path / "run", version=9, storage_plugin=plugin) as writer:
+        one = writer.add_connection("/imu", IMU, typestore=STORE, offered_qos_profiles=[best])
+        writer.write(one, 1, imu(1))
+    (message,) = bag.messages(tmp_path / "run")
+    assert bag.offers(message.offered) == (False, True)
+
+
+class Fields:
+    """A type as rclpy shows it."""
+
+    def __init__(self, **fields: str) -> None:
+        self.fields = fields
+
+    def get_fields_and_field_types(self) -> dict[str, str]:
+        return self.fields
+
+
+def test_headers_are_moved_wherever_they_are(monkeypatch):
+    """As in tf2_msgs/msg/TFMessage, nav_msgs/msg/Path and a type without any."""
+    types = {
+        "geometry_msgs/msg/TransformStamped": Fields(header="std_msgs/Header", child_frame_id="string"),
+        "geometry_msgs/msg/Pose": Fields(x="double", list="sequence<double, 5>"),
+        "geometry_msgs/msg/PoseStamped": Fields(header="std_msgs/Header", pose="geometry_msgs/Pose"),
+    }
+    monkeypatch.setattr(stamps, "type_of", types.__getitem__)
+    tf = stamps.headers(Fields(transforms="sequence<geometry_msgs/TransformStamped>"))
+    assert tf == {"transforms": {"header": None}}
+    path = stamps.headers(
+        Fields(header="std_msgs/Header", poses="geometry_msgs/PoseStamped[3]", x="geometry_msgs/Pose")
+    )
+    assert path == {"header": None, "poses": {"header": None}}
+    assert stamps.headers(Fields(data="sequence<uint8>", pose="geometry_msgs/Pose")) == {}
+    transforms = [SimpleNamespace(header=header(at_s)) for at_s in (1.5, 0, 2.25)]
+    stamps.shift(SimpleNamespace(transforms=transforms), tf, -250_000_000)
+    said = [(one.header.stamp.sec, one.header.stamp.nanosec) for one in transforms]
+    assert said == [(1, 250_000_000), (0, 0), (2, 0)]
+
+
+def test_a_moved_stamp_stays_one_that_a_message_can_say():
+    assert stamps.shifted((5, 0), -10 * 10**9) == (0, 0)
+    assert stamps.shifted((-5, 0), 10 * 10**9) == (5, 0)
+    assert stamps.shifted((2**31 - 1, 0), 10**9) == (2**31 - 1, 0)
+    assert stamps.shifted((0, 0), 10**9) is None
 
 
 @BOTH

@@ -246,25 +246,37 @@ rosbag2_bagfile_information:
       message_count: 3
     - topic_metadata:
         name: {topic}
+      message_count: {count}
+    - topic_metadata:
+        name: /silent
+      message_count: 0
 """
 
 
 @pytest.mark.parametrize(
-    ("topic", "says"),
+    ("topic", "count", "says"),
     [
-        ("/a", []),
-        ("/c", ["spec.benchmark.workload.bag names drive, which has no message of /a; the bag has /b, /c"]),
+        ("/a", 1, []),
+        ("/c", 1, ["spec.benchmark.workload.bag names drive, which has no message of /a; the bag has /b, /c"]),
+        ("/a", 0, ["spec.benchmark.workload.bag names drive, which has no message of /a; the bag has /b"]),
     ],
 )
 def test_a_bag_that_lacks_the_request_is_found_by_its_list_of_topics(
-    tmp_path: Path, topic: str, says: list[str]
+    tmp_path: Path, topic: str, count: int, says: list[str]
 ) -> None:
     (tmp_path / "ws" / "src").mkdir(parents=True)
     (tmp_path / "drive").mkdir()
-    (tmp_path / "drive" / "metadata.yaml").write_text(METADATA.format(topic=topic))
+    (tmp_path / "drive" / "metadata.yaml").write_text(METADATA.format(topic=topic, count=count))
     path = tmp_path / "spec.yaml"
     text = SPEC.replace("{NODE}", "{ cmd: [plan] }").replace("node: { cmd: [play] }", "bag: drive")
     path.write_text(text, "utf-8")
     found = load([path])[0].absent()
     assert [f"{one.message}; {one.fix}" for one in found] == says
     assert load([path])[0].absent(measured=False) == []
+    (tmp_path / "drive" / "drive_0.db3.zstd").touch()
+    assert [f"{one.message}; {one.fix}" for one in load([path])[0].absent()] == [
+        "spec.benchmark.workload.bag names drive, which is compressed file by file, and is not played so; "
+        "run 'zstd -d --rm drive/*.zst*' in the spec's folder"
+    ]
+    (tmp_path / "drive" / "drive_0.db3").touch()
+    assert len(load([path])[0].absent()) == len(says)
