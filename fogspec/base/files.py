@@ -18,6 +18,11 @@ KINDS = (
 )
 
 
+# What the files of Git LFS are until they are pulled, by its specification: shorter than 1,024 bytes, with this first line.
+POINTER, POINTER_BYTES = b"version https://git-lfs.github.com/spec/v1\n", 1024
+PULL = "run 'git lfs pull'"
+
+
 def not_a_file(mode: int) -> str | None:
     """Return why nothing can be read from what has this `st_mode`, or written over it; None for a regular file."""
     return next((f"{what}, not a file" for is_one, what in KINDS if is_one(mode)), None)
@@ -33,7 +38,14 @@ def read_file(path: str | os.PathLike[str], most_bytes: int) -> bytes:
     """Return the file's bytes, at most `most_bytes` of them; raise OSError as `check_file` does or if it is unreadable."""
     check_file(path)
     with open(path, "rb") as file:
-        return file.read(most_bytes)
+        return checked(file.read(most_bytes), path)
+
+
+def checked(content: bytes, path: str | os.PathLike[str]) -> bytes:
+    """Return what was read of a file; raise OSError if it is a pointer of Git LFS."""
+    if content.startswith(POINTER) and len(content) < POINTER_BYTES:
+        raise OSError(errno.EINVAL, f"it is a pointer of Git LFS, not the file: {PULL}", os.fspath(path))
+    return content
 
 
 def open_untrusted(path: str | os.PathLike[str]) -> BinaryIO:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from fogspec.base.errors import InvalidInput
-from fogspec.base.files import not_a_file, too_large
+from fogspec.base.files import checked, not_a_file, too_large
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 STATE, IGNORED = ".fogspec", ".gitignore"  # the folder of live state, and what keeps it out of git
@@ -53,7 +53,7 @@ class ProjectFiles:
     def head(self, path: Path, most_bytes: int) -> bytes:
         """Return the first `most_bytes` bytes of a file."""
         with self.open(path) as file:
-            return file.read(most_bytes)
+            return checked(file.read(most_bytes), path)
 
     def open(self, path: Path) -> BinaryIO:
         """Open a file to read it."""

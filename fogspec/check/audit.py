@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import FogspecError, OutOfDate
+from fogspec.base.files import PULL
 from fogspec.base.layout import Layout
 from fogspec.base.text import count, restore_command, shell_command
 from fogspec.base.units import dollars
@@ -166,6 +167,8 @@ class Status:
         if self.damaged:
             return next((one.fix for one in self.damaged if one.fix is not None), None)
         if self.artifacts is not None and self.artifacts.results is not None and self.inputs.timings:
+            if any(PULL in one for one in self.inputs.timings):
+                return PULL
             measure = shell_command("fogspec", "bench", self.layout.spec)
             return f"put back what was measured ({restore_command(self.layout.results)}), or measure it: {measure}"
         if self.following is None or self.artifacts is None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import UsageError
+from fogspec.base.files import PULL
 from fogspec.base.git import git
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
@@ -17,13 +18,13 @@ from fogspec.results.io import result_in
 def restorable(damaged: DiagnosticError, layout: Layout, base: str | None = None) -> DiagnosticError:
     """Return the errors of a damaged lock and of damaged results with the command that restores the file.
 
-    What a newer fogspec wrote is not damaged.
+    What a newer fogspec wrote is not damaged, nor what Git LFS has not fetched.
     Where the damage was committed, HEAD has it too: then it is the commit `base`, or the one before that change.
     """
 
     def fix(one: Diagnostic) -> str | None:
         path = Path(one.span.path)
-        if one.fix == UPGRADE:
+        if one.fix in (UPGRADE, PULL):
             return one.fix
         if path == layout.lock:
             return _fix(path, lambda file: file.document(Lock), "remove it and write it again: fogspec lock", base)

@@ -104,10 +104,11 @@ class Inputs:
     ) -> list["Inputs"]:
         """Read the inputs of the applications in these specs, or of the application `name`.
 
-        `catalog` overrides that of lock and plan. For an `audit`, read the raw timings too. With `each`, a damaged
-        lock is `damaged`, and a catalog that is not the locked one or a wrong library `refused`, so that every application
-        can be reported. With `recorded`, what the compiled files say of a price list stands for one that is not here
-        (`unread`). `known` are files that were read before, `loaded` the valid applications of the specs if they were.
+        `catalog` overrides that of lock and plan. For an `audit`, read the raw timings too. With `each`, a damaged lock, or a
+        file that Git LFS has not fetched, is `damaged`, and a catalog that is not the locked one or a wrong library
+        `refused`, so that every application can be reported. With `recorded`, what the compiled files say of a price list
+        stands for one that is not here (`unread`). `known` are files that were read before, `loaded` the valid applications
+        of the specs if they were.
 
         Raise DiagnosticError or InvalidInput for an invalid file, OutOfDate for a catalog that differs from the
         locked one.
@@ -273,6 +274,7 @@ class _Reader:
         timings = base.timings if base is not None else ()
         if audit and base is None and results is not None:
             timings = tuple(contradictions(results, layout.results, RecordRules.of(application)))
+        sent, unfetched = self.usable_tree(application, layout)
         needs_library = bool(files) or application.spec.sampler == "adaptive" or application.spec.library is not None
         library, other = self.usable_library(one) if needs_library else (None, None)
         return Inputs(
@@ -283,18 +285,27 @@ class _Reader:
             library=library,
             results=results,
             results_files=files,
-            damaged=unread or damaged,
+            damaged=unread or unfetched or damaged,
             refused=refused or other,
             lock=self.files.get(layout.lock),
             agent={layout.agent: agent_archive()},
             on_disk=self.on_disk(layout),
-            sent=self.sent(application, layout),
+            sent=sent,
             policies={path: self.policy(path) for path in map(Path, policy_paths(layout.root))},
             timings=timings,
             unread=missing,
             catalog_notes=tuple(_catalog_notes(one, catalog)),
             base=base,
         )
+
+    def usable_tree(self, application: Application, layout: Layout) -> tuple[Mapping[str, str], DiagnosticError | None]:
+        """Return the digests of the files that machines are sent, or with `each` why git has not fetched them."""
+        try:
+            return self.sent(application, layout), None
+        except DiagnosticError as unfetched:
+            if not self.each:
+                raise
+            return {}, unfetched
 
     def sent(self, application: Application, layout: Layout) -> Mapping[str, str]:
         """Return the digests of the files that machines are sent; applications of a spec share most trees."""

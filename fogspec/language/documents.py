@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic, Span
-from fogspec.base.files import read_file
+from fogspec.base.files import PULL, read_file
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node
@@ -98,9 +98,9 @@ def documents_of(
 
 def unreadable(name: str, problem: OSError) -> Diagnostic:
     """Return the diagnostic of a file that cannot be read."""
-    return Diagnostic(
-        "FS101", f"the file cannot be read: {(problem.strerror or str(problem)).lower()}", Span(name, 1, 1)
-    )
+    why = problem.strerror or str(problem)
+    said = f"the file cannot be read: {why[:1].lower()}{why[1:].removesuffix(f': {PULL}')}"
+    return Diagnostic("FS101", said, Span(name, 1, 1), PULL if why.endswith(PULL) else None)
 
 
 def documents_in(

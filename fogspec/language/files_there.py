@@ -7,7 +7,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from fogspec.agent.stopping import mistyped
-from fogspec.base.files import read_file
+from fogspec.base.errors import InvalidInput
+from fogspec.base.files import PULL, read_file
+from fogspec.base.repository import top_of
+from fogspec.base.text import shell
 from fogspec.base.yaml.positions import Path as FieldPath
 from fogspec.base.yaml.positions import dotted
 from fogspec.base.yaml.writer import flow
@@ -35,6 +38,7 @@ TOPIC = re.compile(
     r"topic_metadata:\s+name: ['\"]?(/[\w/]+)(?:(?:(?!topic_metadata:).)*?message_count: (\d+))?", re.DOTALL
 )
 EVENT = "/_service_event"
+MODULE = re.compile(r"^[ \t]*path[ \t]*=[ \t]*\"?([^\"\n]+)", re.MULTILINE)  # of .gitmodules
 STORED, PACKED = (".db3", ".mcap"), (".zst", ".zstd")  # files of a bag
 
 
@@ -55,6 +59,7 @@ def missing_files(application: Application, folder: Path, tree: Tree | None, mea
                 f"rename it: {', '.join(tree.ignored)} are left out" if tree.holds(at) else f"add {name} to spec.files"
             )
             yield Finding(CODE, path, f"{dotted(path)} names {name}, which is not sent to machines", fix)
+    yield from _not_checked_out(spec, folder, tree, measured) if tree is not None else ()
     yield from _packages(spec, folder, nodes_on_machine(spec, measured))
     yield from _recorded(spec, folder) if measured else ()
 
@@ -102,6 +107,42 @@ def _listed(spec: Spec) -> Iterator[tuple[FieldPath, str]]:
     yield from ((("spec", "files", i), name) for i, name in enumerate(spec.files or []))
     if spec.library not in (None, NO_LIBRARY):
         yield ("spec", "library"), spec.library
+
+
+def _not_checked_out(spec: Spec, folder: Path, tree: Tree, measured: bool) -> Iterator[Finding]:
+    """Find files of Git LFS and folders of submodules that git has not filled."""
+    found = [(path, "is a pointer of Git LFS, not the file", PULL) for path in _pointers(tree)]
+    for path in _submodules(folder):
+        if not tree.excludes(path) and not any((folder / path).iterdir()):
+            found.append(
+                (path, "is the empty folder of a submodule", f"run 'git submodule update --init {shell(path)}'")
+            )
+    named = [*_listed(spec), *named_files(spec, measured), *words_of_commands(spec, measured)]
+    for path, what, fix in found:
+        holders = [at for at, name in named if f"{path}/".startswith(f"{os.path.normpath(name)}/")]
+        yield Finding(CODE, (holders or [("metadata", "name")])[0], f"{path}, which machines get, {what}", fix)
+
+
+def _pointers(tree: Tree) -> list[str]:
+    try:
+        return list(tree.pointers())
+    except InvalidInput:
+        return []  # what cannot be sent is said where it is to be sent
+
+
+def _submodules(folder: Path) -> Iterator[str]:
+    """Yield the folders of submodules below a directory that are there."""
+    top, here = top_of(folder), os.path.realpath(folder)
+    if top is None:
+        return
+    try:
+        listed = read_file(top / ".gitmodules", MOST_BYTES).decode("utf-8", "replace")
+    except OSError:
+        return
+    for name in MODULE.findall(listed):
+        path = os.path.relpath(top / name.rstrip(), here)
+        if path.split("/")[0] not in ("..", ".") and (folder / path).is_dir():
+            yield path
 
 
 def _packages(spec: Spec, folder: Path, nodes: list[tuple[FieldPath, Node]]) -> Iterator[Finding]:

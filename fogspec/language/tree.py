@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
+from fogspec.base.files import POINTER, POINTER_BYTES, PULL
 from fogspec.base.layout import LOCK, Layout
 from fogspec.language.lockfile import ignored_patterns
 from fogspec.language.named_files import sends_files
@@ -70,6 +72,15 @@ class Tree:
         """
         (target / ".skyignore").write_text("# everything here is sent\n", encoding="utf-8")
         return self._each(target)
+
+    def pointers(self) -> Iterator[str]:
+        """Yield the paths of the files that are pointers of Git LFS; raise as `digests` does."""
+        for path, entry in self._walk(self.folder, ""):
+            with contextlib.suppress(OSError):
+                if entry.is_file(follow_symlinks=False) and entry.stat().st_size < POINTER_BYTES:
+                    with open(entry.path, "rb") as file:
+                        if file.read(len(POINTER)) == POINTER:
+                            yield path
 
     def excludes(self, path: str) -> bool:
         """Return whether this path below the directory is left out, by a pattern or because it is not listed."""
@@ -176,6 +187,11 @@ def _file(path: Path, to: Path | None, most_bytes: int) -> tuple[str, int]:
         content, size = hashlib.sha256(), 0
         while block := source.read(BLOCK):
             size += len(block)
+            if block.startswith(POINTER) and about.st_size < POINTER_BYTES:
+                said = Diagnostic(
+                    "FS545", "it is a pointer of Git LFS, not the file", Span(os.fspath(path), 1, 1), PULL
+                )
+                raise DiagnosticError([said])
             if size > most_bytes:
                 raise OverflowError
             content.update(block)

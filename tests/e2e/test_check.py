@@ -242,3 +242,22 @@ def test_an_image_that_is_not_pinned_fails_it_as_apply_refuses_it(repo: Shell) -
     assert "apply deploys what is committed" in repo("check").err
     assert "not pinned" not in repo("diff", "--since", "HEAD", "--markdown").out
     assert "is not pinned" not in repo.read("compiled/demo/plan.yaml")
+
+
+POINTER = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'4d' * 32}\nsize 734003200\n"
+
+
+@pytest.mark.parametrize("what", ["results/demo/*.yaml", "offers.csv", "specs/work.py"])
+def test_what_git_lfs_has_not_fetched_is_never_to_be_measured_again(repo: Shell, what: str) -> None:
+    sorted(repo.folder.glob(what))[0].write_text(POINTER)
+    for words in (
+        ("compile", *AT),
+        ("check",),
+        ("status",),
+        ("bench", "demo", "--dry-run"),
+        ("apply", "demo", "--dry-run"),
+    ):
+        ended = repo(*words, code=None)
+        said = ended.out + ended.err
+        assert "again" not in said, said
+        assert "run 'git lfs pull'" in said, said

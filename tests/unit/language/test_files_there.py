@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.language.loader import load
 from tests.support.running import Shell, shell  # noqa: F401
 
@@ -280,3 +281,49 @@ def test_a_bag_that_lacks_the_request_is_found_by_its_list_of_topics(
     ]
     (tmp_path / "drive" / "drive_0.db3").touch()
     assert len(load([path])[0].absent()) == len(says)
+
+
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 734003200\n".format("4d" * 32)
+
+
+def test_files_that_git_has_not_filled_are_named_with_the_command(tmp_path: Path) -> None:
+    for name in (
+        "ws/src/deep/weights.onnx",
+        "drive/drive.mcap",
+        "work.py",
+        "other.bin",
+        "left/out.bin",
+        "ws/src/late/x",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(POINTER)
+    (tmp_path / "ws/src/late/x").unlink()
+    (tmp_path / "real.bin").write_text(POINTER + "x" * 1000)  # only short files are pointers
+    (tmp_path / "link.bin").symlink_to("work.py")
+    (tmp_path / ".git").mkdir()
+    (tmp_path / ".gitmodules").write_text(
+        '[submodule "a"]\n\tpath = ws/src/late\n\turl = x\n'
+        '[submodule "b"]\n\tpath = "ws/src/deep"\n[submodule "c"]\n\tpath = gone\n'
+    )
+    (tmp_path / "left" / "spec.yaml").write_text("apiVersion: fogspec.dev/v1alpha1\nkind: Application\n")
+    node = "{ cmd: [python3, work.py] }"
+    what = "is a pointer of Git LFS, not the file; run 'git lfs pull'"
+    assert sorted(absent(tmp_path, node)) == [
+        "3: drive/drive.mcap, which machines get, " + what,
+        "3: other.bin, which machines get, " + what,
+        "6: work.py, which machines get, " + what,
+        "8: ws/src/deep/weights.onnx, which machines get, " + what,
+        "8: ws/src/late, which machines get, is the empty folder of a submodule; "
+        "run 'git submodule update --init ws/src/late'",
+    ]
+
+
+@pytest.mark.parametrize("name", ["spec.yaml", "plan.yaml"])
+def test_a_document_that_is_a_pointer_says_so(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text(POINTER)
+    with pytest.raises(DiagnosticError) as refused:
+        load([tmp_path / name])
+    (one,) = refused.value.diagnostics
+    assert (one.message, one.fix) == (
+        "the file cannot be read: it is a pointer of Git LFS, not the file", "run 'git lfs pull'",
+    )  # fmt: skip
