@@ -19,12 +19,24 @@ from fogspec.base.yaml.positions import Path as FieldPath
 from fogspec.base.yaml.positions import dotted, span_of
 from fogspec.language.loader import LoadedSpec
 from fogspec.language.schema import CLASSES, Spec
+from fogspec.language.suggest import closest
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
 
 CODE = "FS547"
 BUNDLED = Path(__file__).parent / "sources" / "snapshot_names.json"
+# SkyPilot's names of accelerators, as of version 0.14, without those of TPUs, which begin alike.
+GPUS = (
+    "none", "T4", "T4g", "L4", "L40", "L40S", "A10", "A10G", "A16", "A30", "A40", "A100", "A100-80GB", "H100",
+    "H100-MEGA", "H200", "GH200", "B200", "GB200", "B300", "V100", "V100-32GB", "P100", "P4", "K80", "M60", "M4000",
+    "P4000", "P5000", "RTX4000", "RTX5000", "RTX6000", "RTX5880-Ada", "RTX6000-Ada", "RTXPRO6000", "RTXPRO6000WS",
+    "RTX PRO 4500", "RTX PRO Server 6000", "A4000", "A5000", "A6000", "RTXA4000", "RTXA5000", "RTXA6000", "MI25",
+    "MI100", "MI200", "MI300X", "Radeon MI25", "Radeon Pro V520", "Gaudi HL-205", "Inferentia", "Inferentia2",
+    "Trainium", "Trainium2", "RTX3060", "RTX3070", "RTX3080", "RTX3090", "RTX4060", "RTX4070", "RTX4080", "RTX4090",
+    "RTX5070", "RTX5080", "RTX5090",
+)  # fmt: skip
+TPU = "tpu-"
 MOST_NEAR = 3
 SHORTEST_START = 4
 NEWER = "if it is new, give compile a list that has it: --catalog"
@@ -38,6 +50,7 @@ class Names:
     regions: Mapping[str, frozenset[str]]
     zones: Mapping[str, frozenset[str]]
     instances: Mapping[str, frozenset[str]]
+    gpus: frozenset[str] = frozenset(GPUS)
 
     @classmethod
     def of(cls, catalog: "Catalog") -> "Names":
@@ -52,12 +65,16 @@ class Names:
             _grouped(set(zip(clouds, regions, strict=True))),
             _grouped(places),
             _grouped(set(zip(clouds, catalog.instance.tolist(), strict=True))),
+            frozenset(GPUS) | {one for one in catalog.gpu.tolist() if one},
         )
 
     def __or__(self, other: "Names") -> "Names":
         """Return what either knows."""
         pairs = ((self.regions, other.regions), (self.zones, other.zones), (self.instances, other.instances))
-        return Names(*({key: a.get(key, frozenset()) | b.get(key, frozenset()) for key in {*a, *b}} for a, b in pairs))
+        regions, zones, instances = (
+            {key: a.get(key, frozenset()) | b.get(key, frozenset()) for key in {*a, *b}} for a, b in pairs
+        )
+        return Names(regions, zones, instances, self.gpus | other.gpus)
 
 
 @cache
@@ -92,6 +109,7 @@ def unknown_names(one: LoadedSpec, catalog: "Callable[[], Catalog | None]") -> l
 def _unknown(spec: Spec, known: Names) -> Iterator[Unknown]:
     for i, entry in enumerate(spec.infra):
         yield from _unknown_place(("spec", "infra", i), entry, known)
+    yield from unknown_gpus(spec, known.gpus)
     clouds = {cloud_name(entry) for entry in spec.infra} - {LOCAL}
     if not all(cloud in known.instances and cloud_of(cloud).instance_types for cloud in clouds):
         return
@@ -107,6 +125,20 @@ def _unknown(spec: Spec, known: Names) -> Iterator[Unknown]:
         if name not in types and ("*" not in name or not any(map(fits.fullmatch, types))):
             families = {f"{one.partition('.')[0]}.*" for one in types} if name.endswith(".*") else types
             yield path, f"names {name}, and no catalog here has such an instance type", _fix(name, families)
+
+
+def unknown_gpus(spec: Spec, known: Iterable[str]) -> Iterator[Unknown]:
+    """Yield the GPUs that no catalog has: a name that none has excludes every machine that was meant. Case does not count."""
+    listed = {one.lower(): one for one in known}
+    for i, text in enumerate(spec.hardware.gpus):
+        name = text.partition(":")[0].strip()
+        if name.lower() in listed or name.lower().startswith(TPU):
+            continue
+        bare = re.sub(r"(?i)\b(nvidia|tesla|geforce|amd|intel)\b[-_ ]*|[-_ ]*\bgpus?$", "", name).strip()
+        sized = re.sub(r"-\d+GB?$", "", bare)  # SkyPilot's plain name is that of the first size: A100 has 40 GB
+        near = listed.get(sized.lower()) or closest(bare, list(listed.values()))
+        fix = f"write '{near}{text[len(name) :]}'" if near else NEWER
+        yield ("spec", "hardware", "gpus", i), f"names {name}, and no catalog here has such a GPU", fix
 
 
 def _unknown_place(path: FieldPath, entry: str, known: Names) -> Iterator[Unknown]:

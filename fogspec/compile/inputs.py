@@ -20,9 +20,11 @@ from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, 
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import LinkedPath
 from fogspec.base.text import shell_command
+from fogspec.base.yaml.positions import dotted
 from fogspec.catalog.classes import unknown_families
 from fogspec.catalog.filters import matches_infra, unknown_places
 from fogspec.catalog.machine import Machine
+from fogspec.catalog.names import GPUS, unknown_gpus
 from fogspec.catalog.sources import default_origin, has_skypilots, load_catalog, serves
 from fogspec.catalog.table import About, Catalog, concatenated, of_machine
 from fogspec.compile.agent_archive import agent_archive
@@ -563,6 +565,8 @@ def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
     strange = list(unknown_places(infra, catalog))
     if len(strange) < len(infra):  # of none, the plan says so
         yield from strange
+    for path, what, fix in unknown_gpus(one.application.spec, {*GPUS, *catalog.gpu.tolist()}):
+        yield f"warning: {dotted(path)} {what}: {fix}"
     if (old := age_warning(one, catalog)) is not None:
         yield f"warning: {old}: see --catalog"
 

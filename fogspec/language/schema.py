@@ -375,8 +375,8 @@ class Hardware(Strict):
     gpus: list[str] = Field(
         ["none"],
         min_length=1,
-        description="GPU types allowed; none = machines without any accelerator",
-        examples=[["none", "T4"]],
+        description="GPUs allowed: T4 = machines with one T4, T4:4 = with four; none = machines without any accelerator",
+        examples=[["none", "T4"], ["T4:4"]],
     )
     allow: list[str] = Field(
         [STANDARD],

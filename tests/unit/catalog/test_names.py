@@ -6,6 +6,8 @@ import pytest
 
 from fogspec.catalog.names import bundled, nearest
 from fogspec.catalog.sources.snapshot import Snapshot
+from fogspec.language.loader import read_document
+from fogspec.plan.schema import Plan
 from tests.support.running import Shell, shell  # noqa: F401
 
 SPEC = """\
@@ -16,14 +18,14 @@ spec:
   cloud: [{{ cmd: [plan] }}]
   probe: {{ callback: plan }}
   infra: [{infra}]
-  hardware: {{ allow: [{allow}] }}
+  hardware: {{ allow: [{allow}], gpus: [{gpus}] }}
   benchmark: {{ budget: $2.50, machines: [{machines}] }}
 """
 TABLE = "InstanceType,AcceleratorName,vCPUs,MemoryGiB,Price,Region,AvailabilityZone\n"
 
 
-def said(shell: Shell, infra: str, allow: str = "standard", machines: str = "") -> list[str]:
-    shell.write("specs/arm.yaml", SPEC.format(infra=infra, allow=allow, machines=machines))
+def said(shell: Shell, infra: str, allow: str = "standard", machines: str = "", gpus: str = "none") -> list[str]:
+    shell.write("specs/arm.yaml", SPEC.format(infra=infra, allow=allow, machines=machines, gpus=gpus))
     lines = shell("validate").err.splitlines()
     return [
         f"{head.partition(' names ')[2].partition(',')[0]}: {lines[i + 4].partition('^ ')[2]}"
@@ -117,5 +119,51 @@ def test_a_changed_digit_is_another_family() -> None:
 
 
 def test_compile_says_which_place_it_has_no_machine_in(shell: Shell) -> None:
-    shell.write("specs/arm.yaml", SPEC.format(infra="aws/us-eest-1, aws/us-east-1", allow="standard", machines=""))
+    spec = SPEC.format(infra="aws/us-eest-1, aws/us-east-1", allow="standard", machines="", gpus="none")
+    shell.write("specs/arm.yaml", spec)
     assert "the catalog has no machine in aws/us-eest-1; did you mean aws/us-west-1" in shell("compile").err
+
+
+@pytest.mark.parametrize(("name", "fix"), [
+    ("T4 GPU", "write 'T4'"), ("NVIDIA L4 gpu", "write 'L4'"), ("Tesla T4", "write 'T4'"), ("A100-40GB", "write 'A100'"),
+    ("'T44:8'", "write 'T4:8'"), ("Quantum9", "if it is new, give compile a list that has it: --catalog"),
+])  # fmt: skip
+def test_a_gpu_that_no_catalog_has_is_a_warning(shell: Shell, name: str, fix: str) -> None:
+    (found,) = said(shell, "aws", gpus=f"none, t4, 'T4:4', A40, tpu-v5p-8, {name}")
+    assert found.partition(": ")[2] == fix
+
+
+LAB = "Cloud,InstanceType,vCPUs,MemoryGiB,AcceleratorName,AcceleratorCount,Price,Region\n"
+
+
+def test_a_gpu_of_the_given_list_is_one(shell: Shell) -> None:
+    rows = [f"slurm,n{i},16,64,{name},{count},0.60,lab\n" for i, (name, count) in enumerate(
+        [("Quantum9", 1), ("Quantum9", 4), ("RTX 9000 Pro", 1)])]  # fmt: skip
+    shell.write("lab.csv", LAB + "".join(rows))
+    machines = {"Quantum9": ["n0"], "Quantum9:4": ["n1"], "quantum9, rtx 9000 pro": ["n0", "n2"]}
+    for gpus, wanted in machines.items():
+        listed = ", ".join(f"'{one}'" for one in gpus.split(", "))
+        text = SPEC.format(infra="slurm/lab", allow="standard", machines="", gpus=listed)
+        shell.write("specs/arm.yaml", text.replace("budget: $2.50, machines: []", "budget: $9"))
+        ended = shell("compile", "--catalog", "lab.csv")
+        plan = read_document(shell.folder / "compiled/arm/plan.yaml", Plan)
+        assert "no catalog here has" not in ended.err
+        assert sorted(one.machine.instance for one in plan.spec.samples) == wanted
+    shell.write(
+        "specs/arm.yaml", text.replace("'quantum9'", "Quantun9").replace("budget: $2.50, machines: []", "budget: $9")
+    )
+    assert (
+        "names Quantun9, and no catalog here has such a GPU: write 'Quantum9'"
+        in shell("compile", "--catalog", "lab.csv").err
+    )
+
+
+def test_every_name_of_a_place_that_a_list_has_is_one(shell: Shell) -> None:
+    odd = (
+        "vast/Poland, PL, EU",
+        "vast/, US, NA",
+        "vast/Hafnarfj\u00f6r\u00f0ur, IS, EU",
+        "kubernetes/arn:aws:eks:x:1:cluster/a",
+    )
+    for place in odd:
+        assert all("FS531" not in one for one in said(shell, f"'{place}'")), place
