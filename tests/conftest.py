@@ -41,6 +41,8 @@ PUBLIC_SUITE = ROOT / "tests" / "data" / "suite"
 # Data that may not enter this repository. Tests run on what is in it, and on these too where they are.
 SHARED = Path(os.environ.get("FOGSPEC_SHARED", ROOT.parent / "shared"))
 
+TEMPORARY_BYTES = 800 << 20  # 600 MiB were seen at the end of a whole run
+
 # What has one cluster, browser or laid-out project for all its tests runs in one worker.
 TOGETHER = ("tests/aws/", "tests/slurm/", "tests/browser/", "tests/contract/")
 
@@ -49,6 +51,10 @@ def pytest_configure(config: pytest.Config) -> None:
     """Everything temporary is below one folder, which ends with the session, whatever was killed in it."""
     if apart.FOLDER in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
         return  # workers have the folder of the process that starts them
+    free = shutil.disk_usage(tempfile.gettempdir()).free
+    if free < TEMPORARY_BYTES:
+        needs = f"tests write about {TEMPORARY_BYTES >> 20:,} MiB of temporary files, and {tempfile.gettempdir()} has"
+        pytest.exit(f"{needs} {free >> 20:,} MiB free: set TMPDIR to a folder with more", 4)
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())  # where pytest keeps what failed tests wrote
     folder = tempfile.mkdtemp(prefix="fog-")
     os.chmod(folder, 0o711)  # another user may reach what a test opens to others
