@@ -1,6 +1,6 @@
 """Configure and activate managed nodes, as launch's `autostart` does, and again those that were started again.
 
-    python3 agent.pyz activate --of /arm/planner --of tracker
+    python3 agent.pyz activate --of /arm/planner --of /tracker
 
 A node is given by its full name. One that was active and was deactivated on purpose stays so. It never ends by itself.
 """
@@ -13,17 +13,18 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, cast
 
+from .causes import ACTIVE
 from .ros import need_rclpy
 
 LOOKED_S = 0.25
 AGAIN_S, AGAIN_AT_MOST_S = 0.5, 30.0  # after a transition, doubled for each that failed in a row
 ACTIVE_S = 2.0  # between two looks at a node that is active
 ANSWER_S = 5.0  # a node that configures may not answer before it has
-UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 1, 2, 3, 4  # of lifecycle_msgs/msg/State
+UNCONFIGURED, INACTIVE, FINALIZED = 1, 2, 4  # of lifecycle_msgs/msg/State
 NEXT = {UNCONFIGURED: (1, "configured"), INACTIVE: (3, "activated")}  # with ids of lifecycle_msgs/msg/Transition
 
 
-class Managed:
+class Activated:
     """A node that is to be active."""
 
     def __init__(self, node: Any, name: str) -> None:
@@ -50,7 +51,7 @@ class Managed:
         if state == FINALIZED != self.state:
             self.say("is finalized: it has to be started again")
         self.state = state
-        # Unconfigured it is when it starts. Active ones that are not any more were deactivated by someone.
+        # A node starts unconfigured. One that was active and is inactive was deactivated on purpose.
         self.wanted = state == UNCONFIGURED or (self.wanted and state != ACTIVE)
         if not self.wanted or state not in NEXT:
             self.due_s = time.monotonic() + (AGAIN_S if self.wanted else ACTIVE_S)
@@ -84,10 +85,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     rclpy.init()
     node = rclpy.create_node("fogspec_activate", start_parameter_services=False, enable_rosout=False)
-    managed = [Managed(node, name) for name in options.of]
+    activated = [Activated(node, name) for name in options.of]
 
     def look() -> None:
-        for one in managed:
+        for one in activated:
             one.look()
 
     node.create_timer(LOOKED_S, look)

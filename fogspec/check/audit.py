@@ -67,7 +67,7 @@ class Status:
 
     `refused` is the reason why nothing can be compiled, `fix` the command that changes it, if there is one; otherwise there are
     `artifacts`. `to_measure` counts the samples that are still to be measured. `differing` are the files that differ from what
-    compile would write. `damaged` are the errors of results or of a lock that cannot be used, each with the command that
+    compile would write. `damaged` are the errors of results, a lock or a file that cannot be used, each with the command that
     restores them.
     """
 
@@ -207,7 +207,8 @@ def look(inputs: Inputs, base: str | None = None) -> Status:
         damaged = (problems if base is None else restorable(problems, inputs.layout, base)).diagnostics
         reasons = (*map(located, damaged), *dict.fromkeys(one.fix for one in damaged if one.fix is not None))
         path = Path(damaged[0].span.path)
-        name = "lock" if path == inputs.layout.lock else "results"
+        ours = inputs.layout
+        name = "lock" if path == ours.lock else "results" if path.is_relative_to(ours.results) else "files"
         stage = Stage(name, path, "damaged", tuple(_some(reasons)))
         return Status(inputs=inputs, refused=f"{path} is damaged", stages=(stage,), damaged=damaged)
 

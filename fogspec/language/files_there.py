@@ -1,6 +1,7 @@
 """What a spec names beside itself and is not there: an error of every command that plans, pins or starts something with it."""
 
 import ast
+import contextlib
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -112,8 +113,8 @@ def _listed(spec: Spec) -> Iterator[tuple[FieldPath, str]]:
 def _not_checked_out(spec: Spec, folder: Path, tree: Tree, measured: bool) -> Iterator[Finding]:
     """Find files of Git LFS and folders of submodules that git has not filled."""
     found = [(path, "is a pointer of Git LFS, not the file", PULL) for path in _pointers(tree)]
-    for path in _submodules(folder):
-        if not tree.excludes(path) and not any((folder / path).iterdir()):
+    for path in _empty_submodules(folder):
+        if not tree.excludes(path):
             found.append(
                 (path, "is the empty folder of a submodule", f"run 'git submodule update --init {shell(path)}'")
             )
@@ -130,8 +131,8 @@ def _pointers(tree: Tree) -> list[str]:
         return []  # what cannot be sent is said where it is to be sent
 
 
-def _submodules(folder: Path) -> Iterator[str]:
-    """Yield the folders of submodules below a directory that are there."""
+def _empty_submodules(folder: Path) -> Iterator[str]:
+    """Yield the folders of submodules below a directory that are there, and empty."""
     top, here = top_of(folder), os.path.realpath(folder)
     if top is None:
         return
@@ -141,8 +142,9 @@ def _submodules(folder: Path) -> Iterator[str]:
         return
     for name in MODULE.findall(listed):
         path = os.path.relpath(top / name.rstrip(), here)
-        if path.split("/")[0] not in ("..", ".") and (folder / path).is_dir():
-            yield path
+        with contextlib.suppress(OSError):  # it is not there, or cannot be read
+            if path.split("/")[0] not in ("..", ".") and not any((folder / path).iterdir()):
+                yield path
 
 
 def _packages(spec: Spec, folder: Path, nodes: list[tuple[FieldPath, Node]]) -> Iterator[Finding]:

@@ -86,7 +86,9 @@ class Metadata(Strict):
     )
 
 
-AUTOSTART = "have fogspec configure and activate it when it starts, a managed node, as in launch_ros; needs a name"
+AUTOSTART = (
+    "whether fogspec configures and activates it, a managed node, when it starts, as in launch_ros; needs a name"
+)
 
 
 class ComposableNode(Strict):

@@ -7,6 +7,7 @@ it holds. A file that is not listed reaches no machine.
 import contextlib
 import fnmatch
 import hashlib
+import itertools
 import os
 import re
 import stat
@@ -74,8 +75,8 @@ class Tree:
         return self._each(target)
 
     def pointers(self) -> Iterator[str]:
-        """Yield the paths of the files that are pointers of Git LFS; raise as `digests` does."""
-        for path, entry in self._walk(self.folder, ""):
+        """Yield the paths of the files that are pointers of Git LFS, of as many as may be sent; raise as `digests` does."""
+        for path, entry in itertools.islice(self._walk(self.folder, ""), MOST_FILES):
             with contextlib.suppress(OSError):
                 if entry.is_file(follow_symlinks=False) and entry.stat().st_size < POINTER_BYTES:
                     with open(entry.path, "rb") as file:

@@ -60,8 +60,8 @@ def gpus(application: Application) -> Iterator[Finding]:
         if name.strip() and name.isprintable() and counted:
             continue
         path = ("spec", "hardware", "gpus", i)
-        message = f"{dotted(path)} must be none, or a GPU's name, with a colon and how many unless it is one"
-        yield Finding("FS532", path, f"{message}, and '{text}' is not", "write it like T4, or T4:4")
+        message = f"{dotted(path)} must be none, a GPU such as T4, or several such as T4:4, and '{text}' is not"
+        yield Finding("FS532", path, message, "write it like T4, or T4:4")
 
 
 def listed_once(application: Application) -> Iterator[Finding]:
