@@ -65,6 +65,7 @@ class Activated:
         """Take whether a transition succeeded."""
         succeeded = asked.result() is not None and asked.result().success
         self.failures = 0 if succeeded else self.failures + 1
+        self.wanted = not succeeded or verb != NEXT[INACTIVE][1]
         self.say(f"is {verb}" if succeeded else f"could not be {verb}: its own output may say why")
         self.due_s = time.monotonic() + min(AGAIN_S * 2**self.failures, AGAIN_AT_MOST_S)
 
