@@ -86,11 +86,13 @@ class AdaptiveSampling:
             return []
         found = self._next_samples(left_usd)
         offers = self.filtered.offers
-        taken = {*self.sink.samples, *(sample.id for batch in self._batches() for sample in batch.samples)}
-        samples = [
-            next_on(offers.machine(row), why, taken).model_copy(update={"decided_above": found.decided_above(number)})
-            for number, (row, why) in enumerate(zip(found.rows, found.reasons, strict=True))
-        ]
+        taken = {one.id: one.machine for batch in self._batches() for one in batch.samples}
+        taken |= {one.id: one.machine for one in self.sink.samples.values()}
+        samples = list[Sample]()
+        for number, (row, why) in enumerate(zip(found.rows, found.reasons, strict=True)):
+            one = next_on(offers.machine(row), why, taken)
+            samples.append(one.model_copy(update={"decided_above": found.decided_above(number)}))
+            taken[one.id] = one.machine
         batches = [*self._batches(), *([Batch(reason=found.reason, samples=samples)] if samples else [])]
         out_of_budget = not samples and math.isfinite(left_usd) and bool(self._next_samples(math.inf).rows)
         self._record(batches, None if samples else found.reason, out_of_budget)

@@ -24,7 +24,7 @@ from fogspec.language.fingerprints import change_text
 from fogspec.language.lockfile import pinned
 from fogspec.language.schema import Statistic
 from fogspec.numerics.observations import DEFAULT_NOISE
-from fogspec.plan.schema import Sample, next_on, sample_on
+from fogspec.plan.schema import Sample, is_apart, next_on, sample_on
 from fogspec.results.io import timings_path
 from fogspec.results.schema import Carried, Confirmation, LatencySummary, Measured, Results, results_of
 from fogspec.results.standing import input_changes
@@ -95,8 +95,10 @@ def confirming(prepared: Prepared, inputs: Inputs, runner: str) -> tuple[Prepare
     expected = _expected(prepared, older, found)
     if expected is None:
         return prepared, None
-    sample = sample_on(expected.machine, "to confirm the results from before a change")
-    sample = next((one for one in prepared.plan.spec.samples if one.id == sample.id), sample)
+    machine, samples = expected.machine, prepared.plan.spec.samples
+    known = {one.id: one.machine for one in samples}
+    sample = sample_on(machine, "to confirm the results from before a change", apart=is_apart(machine, known))
+    sample = next((one for one in samples if one.machine.identity == machine.identity), sample)
     return replace(prepared.measuring(sample, inputs), results=None, outdated=False), expected
 
 
@@ -190,7 +192,7 @@ class ConfirmingFile(ResultsFile):
 
     def _renamed(self, record: Measured) -> Measured:
         """Return the record as a further sample of its machine, beside the older ones."""
-        taken = {one.id for one in self.older.spec.samples}
+        taken = self.older.spec.machines
         if record.id not in taken:
             return record
         return record.model_copy(update={"id": next_on(record.machine, "", taken).id})

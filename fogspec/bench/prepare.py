@@ -28,7 +28,7 @@ from fogspec.language.schema import Application
 from fogspec.plan.reuse import settings_changed
 from fogspec.plan.schema import Plan, Sample, replicate, sample_id
 from fogspec.results.io import read_results
-from fogspec.results.schema import Results, completed, free_failures
+from fogspec.results.schema import Results, completed, free_failures, other_machines
 from fogspec.results.standing import Standing, standing
 
 
@@ -104,6 +104,8 @@ def prepare(inputs: Inputs, only: Sequence[str]) -> Prepared:
     found = None if results is None else standing(results, record, application.spec.benchmark.waivers)
     outdated = found is not None and not found.counts
     counting = None if outdated else results
+    if counting is not None and (names := other_machines(plan, counting)):
+        raise OutOfDate(f"{layout.plan}: {some(names)}: another machine was measured under that name", again)
     wanted = _todo(plan, counting, only)
     against = {one.id: field for one in wanted if (field := against_spec(application, one.machine)) is not None}
     return Prepared(
@@ -128,11 +130,16 @@ def prepare(inputs: Inputs, only: Sequence[str]) -> Prepared:
 def _check_plan(application: Application, plan: Plan, layout: Layout, again: str) -> None:
     """Raise OutOfDate if the plan measures otherwise than the spec says, or calls a sample by another machine's name."""
     edited = settings_changed(application, plan)
-    edited += [f"samples: {one.id}" for one in plan.spec.samples if one.id != sample_id(one.machine, replicate(one.id))]
+    edited += [f"samples: {one.id}" for one in plan.spec.samples if not _names(one)]
     if plan.metadata.name != layout.name or edited:
         raise OutOfDate(
             f"{layout.plan} is not what the spec compiles to: {', '.join(edited) or 'metadata.name'}", again
         )
+
+
+def _names(one: Sample) -> bool:
+    """Return whether the id of a sample is one that its machine has."""
+    return one.id in {sample_id(one.machine, replicate(one.id), apart=apart) for apart in (False, True)}
 
 
 def _scripts(application: Application, plan: Plan, inputs: Inputs, again: str) -> dict[Path, bytes]:

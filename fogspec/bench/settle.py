@@ -23,5 +23,5 @@ def settling(prepared: Prepared, inputs: Inputs) -> Prepared:
     one = outlook_after(application, found, results, plan)
     if one is None or one.cause != "one sample":
         return prepared
-    sample = next_on(found.choice.offers.machine(one.row), DECIDES, {record.id for record in results.spec.samples})
+    sample = next_on(found.choice.offers.machine(one.row), DECIDES, results.spec.machines)
     return prepared.measuring(sample, inputs)

@@ -106,6 +106,11 @@ class Machine(Strict):
         return self.gpu.key if self.gpu else None
 
     @property
+    def identity(self) -> tuple[str, str, str | None, bool]:
+        """Return what makes it another machine than one with the same words in its name: infra, instance, GPUs, spot."""
+        return self.infra, self.instance, self.gpu_key, self.spot
+
+    @property
     def type_key(self) -> TypeKey:
         """Return the key of its instance type, whatever its place and kind of price."""
         return self.cloud_name, self.instance, *self.accelerators

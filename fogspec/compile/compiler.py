@@ -24,7 +24,7 @@ from fogspec.plan.budget import ceil_cents, cheapest_options, estimate_cost, wit
 from fogspec.plan.design import make_plan
 from fogspec.plan.reuse import plan_from_campaign, reuse_plan
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import Results, completed
+from fogspec.results.schema import Results, completed, other_machines
 from fogspec.results.standing import Standing, standing
 
 if TYPE_CHECKING:
@@ -149,7 +149,10 @@ def plan_for(inputs: Inputs, admissible: Filtered, results: Results | None) -> P
     record, plan = record_of(inputs), None
     if results is not None:
         plan = campaign_plan(inputs, record, results) or _reusable_plan(inputs, record, results)
-    return plan or make_plan(inputs.application, inputs.catalog, inputs=record, admissible=admissible)
+    measured = results.spec.machines if results is not None else None
+    return plan or make_plan(
+        inputs.application, inputs.catalog, inputs=record, admissible=admissible, measured=measured
+    )
 
 
 def campaign_plan(inputs: Inputs, record: Mapping[str, Any], results: Results) -> Plan | None:
@@ -173,6 +176,6 @@ def _reusable_plan(inputs: Inputs, record: Mapping[str, Any], results: Results) 
     searched = (spec.hardware.search_space, spec.infra, inputs.catalog.about.digest)
     if (body.hardware, body.infra, body.designed_from) == searched:
         return None
-    if not {sample.id for sample in body.samples} <= completed(results):
+    if not {sample.id for sample in body.samples} <= completed(results) or other_machines(plan, results):
         return None
     return reuse_plan(inputs.application, plan, inputs.catalog, record)

@@ -437,7 +437,7 @@ class _Reader:
             with contextlib.suppress(DiagnosticError):
                 machines += _machines_in(self.file(path, layout))
         machines += [one for one in planned if one.is_local]
-        rows = {(one.infra, one.instance, one.gpu_key, one.spot): of_machine(one) for one in reversed(machines)}
+        rows = {one.identity: of_machine(one) for one in reversed(machines)}
         about = About(**plan.catalog.model_dump())
         refused = (
             None

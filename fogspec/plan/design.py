@@ -2,6 +2,7 @@
 
 import difflib
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +22,7 @@ from fogspec.catalog.filters import (
     offers_for,
     unknown_places,
 )
-from fogspec.catalog.machine import host_shape
+from fogspec.catalog.machine import Machine, host_shape
 from fogspec.catalog.table import About, Catalog, Floats, ranks
 from fogspec.language import warned as codes
 from fogspec.language.fingerprints import IMAGE, measured_record
@@ -37,6 +38,8 @@ from fogspec.plan.schema import (
     PlanMetadata,
     Sample,
     estimate,
+    is_apart,
+    sample_id,
     sample_on,
     settings_of,
 )
@@ -56,17 +59,19 @@ def make_plan(
     *,
     inputs: Mapping[str, Any] | None = None,
     admissible: Filtered | None = None,
+    measured: Mapping[str, Machine] | None = None,
 ) -> Plan:
     """Return the sampling plan of a spec, without its tasks; `inputs` is the record of what is measured, if files are sent.
 
-    Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
+    Pure: it depends on the values of the spec and the content of the catalog, not on the order of either; a machine that was
+    `measured` keeps the id of its sample. Raises
     Infeasible if no machine on offer is admissible, InvalidInput for a listed machine that is not on offer. The budget is
     checked where money would be spent.
     """
     spec = application.spec
     if admissible is None:
         admissible = offers_for(catalog, spec)
-    found = design(spec, catalog, admissible)
+    found = design(spec, catalog, admissible, measured)
     return plan_of(application, catalog.about, sampler=spec.sampler, design=found, inputs=inputs)
 
 
@@ -101,7 +106,7 @@ def _unpinned(application: Application, record: Mapping[str, Any]) -> list[Warne
     return [] if image is None or IMAGE in record else [warned(codes.image_unpinned, image=image)]
 
 
-def design(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
+def design(spec: Spec, catalog: Catalog, admissible: Filtered, measured: Mapping[str, Machine] | None = None) -> Design:
     """Return the samples of the spec's sampler.
 
     Raises Infeasible if there are none, InvalidInput for an unknown instance type.
@@ -122,7 +127,7 @@ def design(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
         further = filter(None, (instead, admissible.left_out_line(), *(() if len(catalog) else catalog.about.notes)))
         hints = [admissible.funnel.line(), *unknown_places(spec.infra, catalog), *further]
         raise Infeasible("no machine on offer is admissible", *hints)
-    return _distinct(found)
+    return _distinct(found, measured or {})
 
 
 def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
@@ -280,12 +285,22 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
         yield sample_on(best.machine(int(cheapest_first(best)[0])), "listed in benchmark.machines")
 
 
-def _distinct(found: Design) -> Design:
-    """Return the design with each machine once: overlapping entries of `infra` find the same machine twice."""
-    first: dict[str, Sample] = {}
+def _distinct(found: Design, measured: Mapping[str, Machine]) -> Design:
+    """Return the design with each machine once: overlapping entries of `infra` find the same machine twice.
+
+    Two machines with one id are both kept apart, unless one was measured under it.
+    """
+    first: dict[Any, Sample] = {}
     notes = list(found.notes)
     for one in found.samples:
-        if one.id in first:
+        if one.machine.identity in first:
             notes.append(warned(codes.sampled_once, infra=one.machine.infra, machine=one.machine.instance))
-        first.setdefault(one.id, one)
-    return Design(tuple(first.values()), tuple(notes))
+        first.setdefault(one.machine.identity, one)
+    shared = Counter(one.id for one in first.values())
+    samples = [
+        one.model_copy(update={"id": sample_id(one.machine, apart=True)})
+        if is_apart(one.machine, measured) or (shared[one.id] > 1 and one.id not in measured)
+        else one
+        for one in first.values()
+    ]
+    return Design(tuple(samples), tuple(notes))

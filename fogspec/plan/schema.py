@@ -4,10 +4,11 @@ import functools
 import itertools
 import math
 import re
-from collections.abc import Collection, Sequence
-from typing import Any, Literal, Self
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
@@ -17,6 +18,8 @@ from fogspec.catalog.table import About
 from fogspec.language.schema import Benchmark, Hardware, Name, NameInEnvironment, Sampler
 from fogspec.language.warned import Warned
 from fogspec.plan.commitment import Commitment
+
+LONGEST_ID = 120  # of files' names, which may have 255 bytes
 
 
 class TaskRef(Strict):
@@ -37,6 +40,13 @@ class Sample(Lean):
     reason: str
     task: str | None = None
     decided_above: Duration | None = None
+
+
+def _each_once(samples: list[Sample]) -> list[Sample]:
+    """Return the samples; raise ValueError if two have one id: each would be taken for the other."""
+    if twice := [name for name, times in Counter(one.id for one in samples).items() if times > 1]:
+        raise ValueError(f"two samples have the id {twice[0]}")
+    return samples
 
 
 class CatalogRef(Lean):
@@ -115,7 +125,7 @@ class PlanBody(Strict):
     budget: Money | None = None
     estimate: Estimate
     scripts: list[TaskRef] = Field([])
-    samples: list[Sample]
+    samples: Annotated[list[Sample], AfterValidator(_each_once)]
     notes: list[Warned] = Field([])
 
     @property
@@ -169,16 +179,21 @@ class Plan(Strict):
         return ["--runner", "local"] if all(sample.machine.is_local for sample in self.spec.samples) else []
 
 
-def sample_id(machine: Machine, nth: int = 1) -> str:
-    """Return the id of the `nth` sample of a machine; it depends on both alone, so that a wider plan keeps it."""
+def sample_id(machine: Machine, nth: int = 1, *, apart: bool = False) -> str:
+    """Return the id of the `nth` sample of a machine; it depends on these alone, so that a wider plan keeps it.
+
+    An id that is kept `apart` from that of another machine, `node-a` from `node_a`, ends in a digest of the machine; so
+    does one that is too long, or looks as that of a further sample.
+    """
     words = [machine.infra, machine.instance]
     if machine.gpu and cloud_of(machine.infra).attaches_gpus:
         words.append(machine.gpu.key)
     if machine.spot:
         words.append("spot")
-    if nth > 1:
-        words.append(f"repeat-{nth}")
-    return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
+    plain = re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
+    if apart or len(plain) > LONGEST_ID or replicate(plain) > 1:
+        plain = f"{plain[:LONGEST_ID].rstrip('-')}-{digest.shorten(digest.of_value(machine.identity), 6)}"
+    return plain if nth == 1 else f"{plain}-repeat-{nth}"
 
 
 def replicate(sample_id: str) -> int:
@@ -187,14 +202,21 @@ def replicate(sample_id: str) -> int:
     return int(found[1]) if found else 1
 
 
-def sample_on(machine: Machine, reason: str, nth: int = 1) -> Sample:
+def sample_on(machine: Machine, reason: str, nth: int = 1, *, apart: bool = False) -> Sample:
     """Return the `nth` sample of this machine."""
-    return Sample(id=sample_id(machine, nth), machine=machine, reason=reason)
+    return Sample(id=sample_id(machine, nth, apart=apart), machine=machine, reason=reason)
 
 
-def next_on(machine: Machine, reason: str, taken: Collection[str]) -> Sample:
+def is_apart(machine: Machine, taken: Mapping[str, Machine]) -> bool:
+    """Return whether the id of a machine must be kept apart from those that are `taken`."""
+    other = taken.get(sample_id(machine), machine)
+    return other.identity != machine.identity or sample_id(machine, apart=True) in taken
+
+
+def next_on(machine: Machine, reason: str, taken: Mapping[str, Machine]) -> Sample:
     """Return the first sample of this machine whose id is not taken."""
-    numbered = (sample_on(machine, reason, nth) for nth in itertools.count(1))
+    apart = is_apart(machine, taken)
+    numbered = (sample_on(machine, reason, nth, apart=apart) for nth in itertools.count(1))
     return next(sample for sample in numbered if sample.id not in taken)
 
 

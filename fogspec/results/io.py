@@ -77,6 +77,9 @@ def result_in(source: SourceFile) -> ResultBody:
         raise _damaged(path, "integrity check failed: the file was modified after the benchmark")
     if found.spec.id != path.stem or (found.spec.record is not None and found.spec.record.id != path.stem):
         raise _damaged(path, f"it is the file of {found.spec.id}, under another name")
+    asked, record = found.spec.requested, found.spec.record
+    if asked is not None and record is not None and asked.sample.machine.identity != record.machine.identity:
+        raise _damaged(path, f"it asks for {asked.sample.machine.instance}, and measured {record.machine.instance}")
     return found.spec
 
 

@@ -12,7 +12,7 @@ from fogspec.base.quantities import Id, Lean, Strict
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.language.schema import Hardware, Statistic, Waiver
 from fogspec.language.warned import Warned, mixed_servers, warned
-from fogspec.plan.schema import Sample, Sampling
+from fogspec.plan.schema import Plan, Sample, Sampling
 from fogspec.results.ranges import (
     Amount,
     Counted,
@@ -278,6 +278,11 @@ class ResultsBody(Strict):
     before: Amount = 0.0
 
     @property
+    def machines(self) -> dict[str, Machine]:
+        """Return the machine of each sample, by its id."""
+        return {one.id: one.machine for one in self.samples}
+
+    @property
     def costs(self) -> dict[str, float]:
         """What each sample has cost in USD, by its id."""
         return {one.id: one.spent for one in self.samples} | self.paid
@@ -348,6 +353,12 @@ def completed(results: Results | None) -> frozenset[str]:
         return frozenset()
     abandoned = _abandoned(results.spec)
     return frozenset(one.id for one in results.spec.samples if is_final(one) or one.id in abandoned)
+
+
+def other_machines(plan: Plan, results: Results) -> list[str]:
+    """Return the ids that are in the plan another machine's than in the results."""
+    measured = results.spec.machines
+    return [one.id for one in plan.spec.samples if measured.get(one.id, one.machine).identity != one.machine.identity]
 
 
 def free_failures(results: Results | None) -> frozenset[str]:

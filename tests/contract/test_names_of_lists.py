@@ -6,10 +6,13 @@ from collections.abc import Iterator
 
 import pytest
 
+from fogspec.catalog.machine import Machine
 from fogspec.language.loader import check_text
+from fogspec.plan.schema import sample_id
 from tests.conftest import SHARED
 
 LISTS = SHARED / "data" / "catalog" / "skypilot-v8"
+SIZE = {"cpus": 1, "memory": 1, "price": 0.1}
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
 kind: Application
@@ -34,10 +37,14 @@ def test_every_name_of_a_list_may_stand_in_a_spec(cloud: str) -> None:
     if not LISTS.is_dir():
         pytest.skip("needs the larger data in FOGSPEC_SHARED")
     places, machines, gpus = set[str](), set[str](), {"none"}
+    ids = dict[str, tuple[str, ...]]()
     for row in rows(cloud):
         zone = row.get("AvailabilityZone") or ""
         places.add("/".join(filter(None, (cloud, row["Region"], zone))))
         machines |= {row["InstanceType"]} - {""}
+        one = Machine(infra="/".join(filter(None, (cloud, row["Region"], zone))), instance=row["InstanceType"], **SIZE)
+        # None reads as another one's: ids without a digest are what people see of the large clouds.
+        assert ids.setdefault(sample_id(one), one.identity) == one.identity
         if name := row["AcceleratorName"]:
             count = float(row["AcceleratorCount"])
             gpus |= {name, f"{name}:{count:g}"} if count else {name}  # a part of one that a list rounds to none

@@ -144,3 +144,21 @@ def test_a_machine_that_the_spec_does_not_admit_is_not_measured(paid: Shell, mac
     assert f"{samples[-1].id} is not measured: spec.{field} does not admit it" in said.err
     measured = {one["id"] for one in document(paid.folder / "results/demo")["samples"]}
     assert measured == {one.id for one in samples[:-1]}
+
+
+def test_a_machine_under_the_name_of_one_that_was_measured_is_refused(paid: Shell) -> None:
+    """`a_small` and `a.small`: its sample would be taken for measured."""
+    bench(paid, "--yes")
+    layout, application = Layout.of(paid.folder / "specs/demo.yaml", "demo"), load([paid.folder / "specs/demo.yaml"])[0]
+    plan = read_document(layout.plan, Plan)
+    first, *others = plan.spec.samples
+    other = first.model_copy(update={"machine": first.machine.model_copy(update={"instance": "a_small"})})
+    body = plan.spec.model_copy(update={"samples": [other, *others]})
+    forged, files = with_tasks(application.application, plan.model_copy(update={"spec": body}), layout)
+    for path, content in (files | {layout.plan: plan_file(forged, layout)}).items():
+        path.write_bytes(content)
+    paid.write("offers.csv", paid.read("offers.csv").replace("a.small", "a_small"))
+    said = bench(paid, "--yes", code=3)
+    assert f"{PLAN}: {first.id}: another machine was measured under that name" in said.err
+    paid("compile", "demo", code=7)  # the other one is left to measure
+    assert f"{first.id}-" in paid.read(PLAN)

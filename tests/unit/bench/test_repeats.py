@@ -38,13 +38,17 @@ def test_repeats_that_agree_leave_less_to_learn_than_one_sample_and_contradictio
 
 
 def test_each_sample_of_a_machine_has_an_id_of_its_own():
-    taken: list[str] = []
+    taken: dict[str, Machine] = {}
     for nth in (1, 2, 3):
         sample = next_on(MACHINE, "why", taken)
         assert replicate(sample.id) == nth
         assert sample == sample_on(MACHINE, "why", nth)
-        taken.append(sample.id)
-    assert taken == ["aws-us-east-1-c6i-large", "aws-us-east-1-c6i-large-repeat-2", "aws-us-east-1-c6i-large-repeat-3"]
+        taken[sample.id] = MACHINE
+    assert list(taken) == [
+        "aws-us-east-1-c6i-large",
+        "aws-us-east-1-c6i-large-repeat-2",
+        "aws-us-east-1-c6i-large-repeat-3",
+    ]
 
 
 def replay_job(folder, nth: int) -> Job:

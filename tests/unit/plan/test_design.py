@@ -1,13 +1,15 @@
-"""Which machines are measured: the grid, a list, and what is said where there is none."""
+"""Which machines are measured: the grid, a list, what is said where there is none; and by which names."""
 
 import pytest
 
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
 from fogspec.language.schema import Application
 from fogspec.language.warned import burstable, not_candidate, sampled_once, sentence, warned
-from fogspec.plan.design import Design, design
+from fogspec.plan.design import Design, design, make_plan
+from fogspec.plan.schema import Plan, next_on, sample_id
 from tests.support.catalogs import application, table
 
 OFFERS = (
@@ -127,3 +129,70 @@ def test_where_no_machine_is_left_what_there_was_is_said(hardware: dict[str, obj
     with pytest.raises(Infeasible) as ended:
         picked(application(hardware), table(*OFFERS))
     assert any("on offer there" in hint and said in hint for hint in ended.value.hints)
+
+
+ALIKE = ("node_a,4,16,0.1,lab", "node-a,16,64,0.4,lab", "node.b,8,32,0.2,lab", "Large,2,8,0.3,lab", "large,4,9,0.5,lab")
+LAB = "InstanceType,vCPUs,MemoryGiB,Price,Region"
+
+
+def names(*rows: str, measured: dict[str, Machine] | None = None) -> dict[str, str]:
+    """The ids of the samples of a list, by instance type."""
+    app = application({}, ["slurm/lab"], machines=[row.partition(",")[0] for row in rows])
+    catalog = table(*rows, head=LAB, cloud="slurm")
+    admissible = filter_offers(catalog, app.spec.hardware, app.spec.infra)
+    found = design(app.spec, catalog, admissible, measured)
+    assert not [note for note in found.notes if note["code"] == "sampled_once"]
+    return {one.machine.instance: one.id for one in found.samples}
+
+
+def node(instance: str) -> Machine:
+    return Machine(infra="slurm/lab", instance=instance, cpus=4, memory=16, price=0.1)
+
+
+def test_two_machines_whose_names_read_alike_are_two_samples() -> None:
+    found = names(*ALIKE)
+    assert len(set(found.values())) == len(ALIKE)
+    assert {name: one[:-7] for name, one in found.items() if name != "node.b"} == {
+        "node_a": "slurm-lab-node-a",
+        "node-a": "slurm-lab-node-a",
+        "Large": "slurm-lab-large",
+        "large": "slurm-lab-large",
+    }
+    assert found["node.b"] == "slurm-lab-node-b"
+    assert names(*reversed(ALIKE)) == found
+    assert found == {name: sample_id(node(name), apart=name != "node.b") for name in found}
+
+
+def test_a_machine_that_was_measured_keeps_its_name_in_a_wider_list() -> None:
+    alone = names(ALIKE[0])
+    assert alone == {"node_a": "slurm-lab-node-a"}
+    measured = {name: node(instance) for instance, name in alone.items()}
+    wider = names(*ALIKE[:2], measured=measured)
+    assert wider["node_a"] == alone["node_a"]
+    assert wider["node-a"] == sample_id(node("node-a"), apart=True)
+    assert names(ALIKE[1], measured=measured) == {"node-a": wider["node-a"]}
+
+
+def test_further_samples_of_machines_whose_names_read_alike() -> None:
+    taken: dict[str, Machine] = {}
+    for instance in ("node_a", "node-a", "node_a", "node-a", "node-a-repeat_2", "node-a-repeat_2"):
+        one = next_on(node(instance), "why", taken)
+        assert one.id not in taken
+        taken[one.id] = one.machine
+    first, apart, long = "slurm-lab-node-a", *(sample_id(node(n), apart=True) for n in ("node-a", "node-a-repeat_2"))
+    assert list(taken) == [first, apart, f"{first}-repeat-2", f"{apart}-repeat-2", long, f"{long}-repeat-2"]
+    assert sample_id(node("node-a-repeat_2")) == long
+
+
+def test_a_long_name_is_short_enough_for_a_file_and_still_its_own() -> None:
+    one, other = (sample_id(node("n" * 300 + end)) for end in "ab")
+    assert one != other
+    assert max(map(len, (one, other))) < 140
+
+
+def test_a_plan_with_one_name_for_two_machines_is_refused() -> None:
+    plan = make_plan(application({}, ["slurm/lab"]), table(*ALIKE, head=LAB, cloud="slurm"))
+    edited = plan.model_dump(mode="json")
+    edited["spec"]["samples"][1]["id"] = edited["spec"]["samples"][0]["id"]
+    with pytest.raises(ValueError, match="two samples have the id"):
+        Plan.model_validate(edited)

@@ -114,6 +114,13 @@ def test_each_damaged_file_is_named_and_the_others_stay(tmp_path) -> None:
     assert [one.id for one in read_results_folder(folder).spec.samples] == ["c3"]
 
 
+def test_a_file_that_asks_for_another_machine_than_it_measured_is_refused(tmp_path) -> None:
+    odd = record(1).model_copy(update={"machine": record(2).machine})
+    write(tmp_path / "results", body(odd, sampling=sampling([1])))
+    with pytest.raises(DiagnosticError, match="it asks for 1cpu-1gib, and measured 2cpu-1gib"):
+        read_results_folder(tmp_path / "results")
+
+
 def test_neither_a_name_nor_a_path_is_in_a_file(tmp_path) -> None:
     write(tmp_path / "results/my-robot", body(record(1, timings="sha256:" + "a" * 64)))
     (tmp_path / "results/my-robot").rename(tmp_path / "results/my-arm")
