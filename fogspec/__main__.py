@@ -18,6 +18,7 @@ def main(command_line: str = "fogspec.cli") -> None:
         from fogspec.base import child
 
         child.leave_working_folder()
+        child.without_home()
         child.use_one_thread()
         module = importlib.import_module(command_line)
     except KeyboardInterrupt:

@@ -14,6 +14,7 @@ import fogspec
 
 ELSEWHERE = "/"  # Only root writes there, and it stays: what a child leaves running may outlive the checkout.
 SEARCHED = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+NO_HOME = os.devnull  # A file: nothing is found or written below it, by root neither.
 THREADS = "OPENBLAS_NUM_THREADS"
 _own: set[str] = set()  # variables that are this process's alone
 # Isolated (-I), an interpreter ignores the working folder, PYTHON* and the user's packages. Folders that come after all others
@@ -72,6 +73,12 @@ def leave_working_folder() -> None:
     others = [one for one in sys.path if os.path.isabs(one) and os.path.realpath(one) != here]
     # Who develops fogspec stands in its own folder.
     sys.path[:] = [*others, own] if os.path.realpath(own) == here else others
+
+
+def without_home() -> None:
+    """Give a user who has neither HOME nor a name a home in which nothing is: `~` would be a folder of the checkout."""
+    if not os.path.isabs(os.path.expanduser("~")):
+        os.environ["HOME"] = NO_HOME
 
 
 def _own_folders() -> list[str]:
