@@ -54,7 +54,8 @@ class Cloud:
     `credits` are patterns of instance types whose CPU may work beyond what is guaranteed, and what that costs at most, in USD
     per vCPU and hour.
 
-    `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
+    `region`, `zone_id`, `arm` and `family` are patterns: of a region's name; of ids of zones, which SkyPilot takes by the
+    account's names for them; of instance types with an Arm CPU; of an instance type
     whose groups are its family's name. So are `accelerated`, `burstable`, `bare_metal`: of instance types with an
     accelerator, even if a price list does not name it, of types whose CPU is guaranteed for part of the time only, and of whole
     servers; `generation`: of a
@@ -88,6 +89,7 @@ class Cloud:
     open_udp: str | None = None
     quota: str | None = None
     region: str | None = None
+    zone_id: str | None = None
     arm: str | None = None
     family: str | None = None
     accelerated: str | None = None
@@ -162,6 +164,7 @@ _ROWS = (
         beside_in="us-east-1|us-east-2|us-west-2",
         credits=((r"t3a?\.", 0.05), (r"t4g\.", 0.04)),
         region=r"[a-z]{2}-(?:gov-)?[a-z]+-\d",
+        zone_id=r"[a-z0-9-]+-az\d+",
         arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
         accelerated=r"(dl|f|g|gr|inf|p|trn|vt)\d",
         burstable=r"t\d|[a-z]\d[a-z]*-flex\.",
@@ -309,6 +312,18 @@ def beside_what(infra: str, instance: str) -> str:
 def split_infra(infra: str) -> list[str]:
     """Return cloud, region and zone of an infra, as far as it names them."""
     return infra.split("/", 1 if cloud_of(infra).context_regions else 2)
+
+
+def is_zone_id(infra: str) -> bool:
+    """Return whether `cloud/region/zone` ends in an id of a zone, which SkyPilot takes by the account's name for it."""
+    pattern, (*_, zone) = cloud_of(infra).zone_id, split_infra(infra)
+    return pattern is not None and re.fullmatch(pattern, zone) is not None
+
+
+def is_zone(infra: str) -> bool:
+    """Return whether the zone of `cloud/region/zone` may be one of its region, where a cloud names both alike."""
+    cloud, region, zone = split_infra(infra)
+    return cloud_of(cloud).region is None or zone.startswith(region)
 
 
 def quota_command(infra: str) -> str | None:

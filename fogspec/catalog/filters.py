@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.clouds import CLOUDS, cloud_name, split_infra
+from fogspec.base.clouds import CLOUDS, cloud_name, is_zone, split_infra
 from fogspec.base.units import Range
 from fogspec.catalog import classes
 from fogspec.catalog.machine import Gpu, Machine
-from fogspec.catalog.table import Catalog, Floats, Strings, of_machine
+from fogspec.catalog.table import Catalog, Floats, Strings, concatenated, of_machine
 from fogspec.language.schema import CLASSES, STANDARD, Hardware, MachineClass, Spec
 
 Mask = NDArray[np.bool_]
@@ -85,6 +85,7 @@ def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str], im
     may be given any zone of it; an `infra` that names a zone keeps its offers apart.
     """
     filters: list[Filter] = []
+    catalog = in_zones(catalog, infra)
     offers, left_out = catalog, dict[MachineClass, Catalog]()
     for name, mask in _filters(hardware, infra, image):
         kept = mask(offers)
@@ -112,8 +113,20 @@ def matches_infra(catalog: Catalog, entry: str) -> Mask:
     return mask
 
 
+def in_zones(catalog: Catalog, infra: Sequence[str]) -> Catalog:
+    """Return the catalog with the offers that name no zone, which are in every one of their region, in those of `infra`."""
+    added = []
+    for entry in infra:
+        place, _, zone = entry.rpartition("/")
+        if len(split_infra(entry)) == 3 and zone != "*" and is_zone(entry):
+            rows = catalog.take(matches_infra(catalog, place) & _equal(catalog.zone, ""))
+            added.append(replace(rows, zone=np.full_like(rows.zone, zone)))
+    return concatenated([catalog, *added], catalog.about).in_order().merged() if any(map(len, added)) else catalog
+
+
 def unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
     """Yield a hint for each entry of `infra` in which the catalog has no machine at all."""
+    catalog = in_zones(catalog, infra)
     for entry in infra:
         if matches_infra(catalog, entry).any():
             continue
@@ -212,6 +225,7 @@ def _shortened(names: list[str]) -> str:
 def price_now(machine: Machine, catalog: Catalog) -> float | None:
     """Return the price in USD per hour, the highest among the zones of its region; None if it is not on offer."""
     offers = catalog.take(_equal(catalog.instance, machine.instance))
+    offers = in_zones(offers, [machine.infra])
     same = matches_infra(offers, machine.infra) & (offers.spot == machine.spot) & offers.carries(machine)
     return float(offers.price_usd_per_hour[same].max()) if same.any() else None
 

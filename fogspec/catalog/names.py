@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fogspec.base.clouds import LOCAL, cloud_name, cloud_of, split_infra
+from fogspec.base.clouds import LOCAL, cloud_name, cloud_of, is_zone, is_zone_id, split_infra
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.yaml.positions import Path as FieldPath
@@ -56,11 +56,8 @@ class Names:
     def of(cls, catalog: "Catalog") -> "Names":
         """Return the names in a catalog."""
         clouds, regions = catalog.cloud.tolist(), catalog.region.tolist()
-        places = {
-            (f"{cloud}/{region}", zone)
-            for cloud, region, zone in zip(clouds, regions, catalog.zone, strict=True)
-            if zone
-        }
+        triples = set(zip(clouds, regions, catalog.zone.tolist(), strict=True))
+        places = {(f"{cloud}/{region}", zone) for cloud, region, zone in triples if (cloud, region, "") not in triples}
         return cls(
             _grouped(set(zip(clouds, regions, strict=True))),
             _grouped(places),
@@ -144,14 +141,14 @@ def unknown_gpus(spec: Spec, known: Iterable[str]) -> Iterator[Unknown]:
 def _unknown_place(path: FieldPath, entry: str, known: Names) -> Iterator[Unknown]:
     cloud, region, zone = (*split_infra(entry), "*", "*")[:3]
     regions = known.regions.get(cloud)
-    if regions is None or region == "*":
+    if regions is None or region == "*" or is_zone_id(entry):
         return
     if region not in regions:
         places = {f"{cloud}/{one}" for one in regions}
         yield path, f"names {cloud}/{region}, and no catalog here has that region", _fix(f"{cloud}/{region}", places)
         return
     zones = known.zones.get(f"{cloud}/{region}")
-    if zone != "*" and (zone not in zones if zones else cloud_of(cloud).region and not zone.startswith(region)):
+    if zone != "*" and (zone not in zones if zones else not is_zone(entry)):
         places = {f"{cloud}/{region}/{one}" for one in zones or ()}
         fix = _fix(entry, places) if zones else f"a zone's name begins with its region's: {region}"
         yield path, f"names {entry}, and no catalog here has that zone", fix

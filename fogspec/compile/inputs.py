@@ -22,7 +22,7 @@ from fogspec.base.project_files import LinkedPath
 from fogspec.base.text import shell_command
 from fogspec.base.yaml.positions import dotted
 from fogspec.catalog.classes import unknown_families
-from fogspec.catalog.filters import matches_infra, unknown_places
+from fogspec.catalog.filters import in_zones, matches_infra, unknown_places
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.names import GPUS, unknown_gpus
 from fogspec.catalog.sources import default_origin, has_skypilots, load_catalog, serves
@@ -574,7 +574,7 @@ def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
 def unpriced(one: LoadedSpec, catalog: Catalog) -> tuple[str, str, tuple[str, ...]] | None:
     """Return that no machine has a price in the spec's places, what to do, and the command's words; None if one has."""
     infra = one.application.spec.infra
-    if any(matches_infra(catalog, place).any() for place in infra):
+    if any(matches_infra(in_zones(catalog, infra), place).any() for place in infra):
         return None
     places = ", ".join(infra)
     if set(infra) == {LOCAL}:

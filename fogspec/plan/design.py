@@ -16,6 +16,7 @@ from fogspec.catalog.filters import (
     Filtered,
     before_empty,
     gpu_type,
+    in_zones,
     matches_gpu,
     matches_infra,
     merge_zones,
@@ -258,7 +259,7 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
 
     If one host may carry several accelerators, those in `hardware.gpus` come first.
     """
-    rows = catalog.take(np.asarray(catalog.instance == name, dtype=np.bool_))
+    rows = in_zones(catalog.take(np.asarray(catalog.instance == name, dtype=np.bool_)), spec.infra)
     allowed = ~rows.spot | bool(spec.hardware.spot)
     places = [merge_zones(rows.take(allowed & matches_infra(rows, entry)), [entry]) for entry in spec.infra]
     if not any(len(place) for place in places):

@@ -10,6 +10,7 @@ from fogspec.base.errors import InvalidInput
 from fogspec.base.files import decompress, read_bounded
 from fogspec.catalog.sources.cache import cached
 from fogspec.catalog.sources.parse import read
+from fogspec.catalog.sources.zones import by_name
 from fogspec.catalog.table import About, Catalog
 
 
@@ -46,4 +47,4 @@ def table(path: str | Path, cloud: str | None, about: About, shown: str | None =
     read_as = catalog.about
     notes = (*about.notes, *read_as.notes)
     found = replace(about, digest=read_as.digest, notes=notes, core_hours=read_as.core_hours)
-    return replace(catalog, about=found)
+    return by_name(replace(catalog, about=found), Path(path), name)

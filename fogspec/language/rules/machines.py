@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 
-from fogspec.base.clouds import CLOUDS, cloud_name, cloud_of
+from fogspec.base.clouds import CLOUDS, cloud_name, cloud_of, is_zone_id
 from fogspec.base.units import Range, format_memory, format_number
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.language.rules.finding import Finding
@@ -34,6 +34,10 @@ def places(application: Application) -> Iterator[Finding]:
             tidy = f"{start}/{re.sub(r'[ /]+', '', rest)}" if start in CLOUDS else ""
             fix = f"write '{tidy}'" if is_place(tidy) else "write it like aws/us-east-1"
             yield Finding("FS531", path, f"{dotted(path)} must be cloud, cloud/region or cloud/region/zone", fix)
+        elif is_zone_id(text):
+            region = text.split("/")[1]
+            fix = f"write '{cloud}/{region}' for all zones, or the name that yours has, such as '{cloud}/{region}/{region}a'"
+            yield Finding("FS531", path, f"{dotted(path)} must have a zone's name, and {text} ends in an id", fix)
         elif cloud not in CLOUDS:
             near = closest(cloud, CLOUDS)
             fix = f"write '{near}{text[len(cloud) :]}'" if near else f"write one of {', '.join([*CLOUDS][:6])}, ..."
