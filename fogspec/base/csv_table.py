@@ -60,10 +60,7 @@ class CsvTable:
         if name not in self.columns:
             return np.full(self.size, np.nan)
         texts = self.columns[name]
-        try:
-            known = {text: float(text) if text else math.nan for text in set(texts)}
-        except ValueError:
-            known = {text: _number(text) for text in set(texts)}
+        known = {text: _number(text) for text in set(texts)}
         wrong = {text for text, number in known.items() if not _is_valid(text, number, positive, bounds)}
         for row in [row for row, text in enumerate(texts) if text in wrong][:SHOWN] if wrong else ():
             self.problem(row, name, _wrong_number(name, texts[row], known[texts[row]], positive, bounds))
@@ -196,7 +193,8 @@ def _field(line: str, index: int) -> tuple[int, int]:
 
 
 def _number(text: str) -> float:
+    """Return the number, NaN for what is none in a spec either: Python also reads `1_000`, and digits of other scripts."""
     try:
-        return float(text)
+        return float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:
         return math.nan

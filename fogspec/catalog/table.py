@@ -124,16 +124,20 @@ class Catalog:
 
     def merged(self) -> "Catalog":
         """Return one row for neighbours of the same machine, place and kind of price, at the highest price."""
-        key = (self.spot, self.cloud, self.region, self.instance, self.gpu, self.gpu_count, self.zone)
-        new = np.ones(len(self), dtype=np.bool_)
-        new[1:] = False
-        for column in key:
-            new[1:] |= np.asarray(column[1:] != column[:-1], dtype=np.bool_)
-        first = np.flatnonzero(new)
+        first = np.flatnonzero(~self.repeated())
         if len(first) == len(self):
             return self
         price = np.maximum.reduceat(self.price_usd_per_hour, first)
         return replace(self.take(first), price_usd_per_hour=price)
+
+    def repeated(self) -> NDArray[np.bool_]:
+        """Return the mask of rows with the machine, place and kind of price of the row before."""
+        key = (self.spot, self.cloud, self.region, self.instance, self.gpu, self.gpu_count, self.zone)
+        same = np.ones(len(self), dtype=np.bool_)
+        same[:1] = False
+        for column in key:
+            same[1:] &= np.asarray(column[1:] == column[:-1], dtype=np.bool_)
+        return same
 
     def machine(self, row: int) -> Machine:
         """Return the machine of one row."""

@@ -14,6 +14,7 @@ from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fogspec.base.clouds import cloud_of
 from fogspec.base.csv_table import CsvTable, parse_csv
@@ -22,6 +23,7 @@ from fogspec.base.digest import of_bytes
 from fogspec.catalog.sources import gcp
 from fogspec.catalog.table import About, Catalog, Floats, Strings, strings
 
+MOST_VCPUS = 2000  # in one machine
 REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Region")
 CORE_HOURS = "no column Price: costs are core-hours (core-h), and $1 in a spec stands for one"
 GPU_MIB = re.compile(r"SizeInMiB\D{1,20}(\d{1,9})")
@@ -57,11 +59,17 @@ def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog
         _check_core_hours(rows, machines)
         machines = replace(machines, price_usd_per_hour=machines.vcpus)
         notes.append(f"{path}: {CORE_HOURS}")
-    notes += _left_out(rows, machines, spot)
+    notes += [*_implausible(rows, machines), *_left_out(rows, machines, spot)]
     offers = _priced(*gcp.joined(_unpriced(machines), spot))
     once = offers.merged()
     if repeated := len(offers) - len(once):
         notes.append(f"{path}: {repeated:,} offers are repeated: the highest price of each counts")
+        other = (np.diff(offers.vcpus, prepend=0) != 0) | (np.diff(offers.memory_gib, prepend=0) != 0)
+        if (rows_of := np.flatnonzero(offers.repeated() & other)).size:
+            name = offers.instance[rows_of[0]]
+            notes.append(
+                f"warning: {path}: {name} has two sizes: the size of the cheaper row counts, of two the smaller"
+            )
     found = replace(about, digest=digest(content), notes=tuple(notes), core_hours=core_hours)
     return replace(once, about=found)
 
@@ -159,6 +167,38 @@ def _left_out(rows: CsvTable, machines: Catalog, spot: Floats) -> Iterator[str]:
             have = "row has" if len(found) == 1 else "rows have"
             first = f"{machines.instance[found[0]]} at line {rows.lines[found[0]]}"
             yield f"{rows.path}: {len(found):,} {have} {reason}, such as {first}"
+
+
+def _implausible(rows: CsvTable, machines: Catalog) -> Iterator[str]:
+    """Yield a warning for each column with sizes that no machine has, with the line of the first and the likely unit.
+
+    The lists of AWS, Azure and Google Cloud have 0.25 to 37 GiB per vCPU and up to 1,920 vCPUs, an accelerator has 1 to 288
+    GiB, and a vCPU costs 1/31 to 26 times what it costs at the median (July 2026).
+    """
+    vcpus, gpu_gib = machines.vcpus, machines.gpu_memory_gib
+    cpus = np.where((vcpus > 0) & (vcpus < MOST_VCPUS), vcpus, np.nan)
+    gib_per_vcpu, usd_per_vcpu = machines.memory_gib / cpus, machines.price_usd_per_hour / cpus
+    paid = usd_per_vcpu[usd_per_vcpu > 0]
+    of_median = usd_per_vcpu / (np.median(paid) if paid.size else np.nan)
+    gpu = "GpuMemMiB" if "GpuMemMiB" in rows.columns else "GpuInfo"
+    for mask, column, says, unit in (
+        (vcpus >= MOST_VCPUS, "vCPUs", "{:,.4g} vCPUs", "thousandths of one"),
+        (gib_per_vcpu > 128, "MemoryGiB", "{1:,.4g} GiB per vCPU", "MB"),
+        (_below(gib_per_vcpu, 0.02), "MemoryGiB", "{1:,.4g} GiB per vCPU", "TB"),
+        (gpu_gib > 4096, gpu, "{2:,.4g} GiB per accelerator", "KiB"),
+        (_below(gpu_gib, 0.5), gpu, "{2:,.4g} GiB per accelerator", "GiB"),
+        (of_median > 100, "Price", "{3:,.4g} times the median price per vCPU", "cents, or USD per month"),
+        (_below(of_median, 0.01), "Price", "{3:.2g} times the median price per vCPU", "USD per minute or second"),
+    ):
+        if (found := np.flatnonzero(mask)).size:
+            row = int(found[0])
+            value = says.format(vcpus[row], gib_per_vcpu[row], gpu_gib[row], of_median[row])
+            beside = f", as in {len(found):,} rows" if len(found) > 1 else ""
+            yield f"warning: {rows.path}:{rows.lines[row]}: {column} makes it {value}{beside}: is it in {unit}?"
+
+
+def _below(values: Floats, least: float) -> NDArray[np.bool_]:
+    return np.asarray((values > 0) & (values < least), dtype=np.bool_)
 
 
 def _unpriced(machines: Catalog) -> Catalog:

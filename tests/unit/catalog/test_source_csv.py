@@ -106,6 +106,48 @@ def test_what_has_no_price_or_shape_is_no_candidate_and_said(row: str, says: str
     assert note.endswith(f"such as {row.split(',')[0]} at line 3")
 
 
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (
+            ["a,,,4,15800,0.1,,r,", "b,,,16,63900,0.4,,r,"],
+            "2: MemoryGiB makes it 3,950 GiB per vCPU, as in 2 rows: is it in MB?",
+        ),
+        (["a,,,64,0.25,0.1,,r,"], "2: MemoryGiB makes it 0.003906 GiB per vCPU: is it in TB?"),
+        ([GOOD, "a,,,4000,16,0.1,,r,"], "3: vCPUs makes it 4,000 vCPUs: is it in thousandths of one?"),
+        (
+            ["a,T4,1,4,16,0.1,,r,,15360", "b,T4,1,4,16,0.1,,r,,15"],
+            "3: GpuMemMiB makes it 0.01465 GiB per accelerator: is it in GiB?",
+        ),
+        (
+            ["a,,,2,4,0.1,,r,", "b,,,2,4,0.1,,r,", "c,,,2,4,72,,r,"],
+            "4: Price makes it 720 times the median price per vCPU: is it in cents, or USD per month?",
+        ),
+        (
+            ["a,,,2,4,0.1,,r,", "b,,,2,4,0.1,,r,", "c,,,2,4,3e-5,,r,"],
+            "4: Price makes it 0.0003 times the median price per vCPU: is it in USD per minute or second?",
+        ),
+    ],
+)
+def test_sizes_that_no_machine_has_are_a_warning_with_the_likely_unit(rows: list[str], says: str) -> None:
+    head = HEAD + ",GpuMemMiB" * ("T4" in rows[0])
+    assert table(*rows, head=head).about.notes == (f"warning: offers.csv:{says}",)
+
+
+def test_two_sizes_of_one_type_are_said() -> None:
+    rows = ["D8as,,,8,32,0.344,,westus3,", "D8as,,,8,64,0.344,,westus3,"]
+    said = table(*rows).about.notes
+    assert said[1] == "warning: offers.csv: D8as has two sizes: the size of the cheaper row counts, of two the smaller"
+    assert table(*rows).memory_gib.tolist() == table(*reversed(rows)).memory_gib.tolist() == [32]
+    assert len(table(rows[0], rows[0], rows[1].replace("D8as", "D16as")).about.notes) == 1
+
+
+@pytest.mark.parametrize("text", ["1_000", "\uff12", "0x10"])
+def test_a_number_is_one_as_in_a_spec(text: str) -> None:
+    with pytest.raises(DiagnosticError, match="vCPUs must be a number"):
+        table(f"a,,,{text},4,0.1,,r,")
+
+
 def test_a_repeated_offer_counts_once_at_its_highest_price() -> None:
     catalog = table(GOOD, GOOD, "c6i.large,,,2,4,0.095,,us-east-1,")
     assert catalog.price_usd_per_hour.tolist() == [0.095]
