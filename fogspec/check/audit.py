@@ -413,6 +413,8 @@ def _derived_stage(
 
 def _field_changes(file: SourceFile, now: bytes) -> list[str]:
     """Return the fields of a compiled file on disk that differ, or what makes it unreadable."""
+    if file.content.replace(b"\r\n", b"\n") == now:
+        return ["its line ends differ, and nothing else: git's core.autocrlf"]
     try:
         document = file.plain()
     except DiagnosticError as damaged:

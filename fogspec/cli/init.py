@@ -18,8 +18,9 @@ MOST_DEFAULTS = 20
 # What git should know of a project, by file.
 FOR_GIT = {
     ".gitignore": ".fogspec/\n",
-    ".gitattributes": "compiled/** linguist-generated -merge\n"
-    "compiled/**/*.svg -diff\ncompiled/agent.pyz -diff -text\n"
+    # Digests are of bytes: git is to convert no line ends, whatever its user's core.autocrlf.
+    ".gitattributes": "specs/** -text\nresults/** -text\ncompiled/** -text linguist-generated -merge\n"
+    "compiled/**/*.svg -diff\ncompiled/agent.pyz -diff\n"
     "results/*.yaml merge=fogspec-results\n",
 }
 

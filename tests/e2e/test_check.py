@@ -217,7 +217,7 @@ def test_init_tells_git_what_is_generated_and_overwrites_nothing(shell: Shell) -
     said = shell("init", "second").out
     assert shell.read(".gitignore") == "build/\n"
     assert ".gitignore: is there already, and lacks: .fogspec/" in said
-    assert "compiled/** linguist-generated -merge" in shell.read(".gitattributes")
+    assert "compiled/** -text linguist-generated -merge" in shell.read(".gitattributes")
     assert "linguist" not in shell("init", "third").out
 
 
