@@ -66,9 +66,11 @@ def command(
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.review import gate
     from fogspec.review.diff import removed
-    from fogspec.review.git import Rules, concerned
+    from fogspec.review.git import UNKNOWN_BASE, Rules, concerned
 
-    repository, commit = _base(since)
+    repository, commit, is_known = _base(since)
+    if commit is not None and not is_known:
+        note(f"warning: {UNKNOWN_BASE.format(commit[:12])}")
     gone = [] if repository is None or commit is None else list(removed(repository, commit, ()))
     loaded, wrong = _specs(specs, gone)
     show_diagnostics(wrong, "github" if output == "github" else "text")
@@ -83,6 +85,8 @@ def command(
     verdicts = judged_by.judge([one for one in loaded if one.name in wanted], workers)
     invalid = sorted({one.span.path for one in wrong if one.severity == "error"})
     whole = not invalid and _are_all(specs, loaded)
+    # What others may have added since is not gone.
+    gone = gone if is_known else []
     others = _without_spec(loaded, gone, live=not any(map(_is_place, refused))) if whole else []
     found = gate.Verdicts(
         judged=verdicts, rules=refused, others=others, invalid=invalid, skipped=sorted(names - wanted), since=since
@@ -97,8 +101,8 @@ def command(
         note(f"apply{' --resolve-image' if resolve_image else ''} deploys what is committed")
 
 
-def _base(since: str | None) -> "tuple[Repository | None, str | None]":
-    """Return the repository and the commit to compare with; None outside of one, or without a commit."""
+def _base(since: str | None) -> "tuple[Repository | None, str | None, bool]":
+    """Return the repository, the commit to compare with, and whether it is known; None outside of one, or without a commit."""
     from fogspec.review.git import Repository
 
     try:
@@ -106,13 +110,13 @@ def _base(since: str | None) -> "tuple[Repository | None, str | None]":
     except UsageError:
         if since is not None:
             raise
-        return None, None
+        return None, None, True
     try:
-        return repository, repository.base_of(since or "HEAD")
+        return repository, *repository.base_of(since or "HEAD")
     except UsageError:
         if since not in (None, "HEAD"):
             raise
-        return repository, None  # there is no commit yet: all of it is new
+        return repository, None, True  # there is no commit yet: all of it is new
 
 
 def _specs(specs: Sequence[str], gone: Sequence[str]) -> "tuple[list[LoadedSpec], list[Diagnostic]]":

@@ -68,7 +68,9 @@ def command(
     gone = {}
     if base is not None and not invalid:  # which applications an invalid spec has is not known
         gone = removed(base.repository, base.commit, [one.name for one in loaded], whole=not specs)
-    whole = Whole(None if base is None else base.commit, found, others, gone, invalid)
+    whole = Whole(
+        None if base is None else base.commit, found, others, gone, invalid, None if base is None else base.warning
+    )
     if output == "json":
         say_json(as_dict(whole))
     elif as_markdown:

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from itertools import chain, starmap
+from itertools import chain
 from typing import Any, TypeVar
 from urllib.parse import quote
 
@@ -16,7 +16,7 @@ from fogspec.language.warned import sentence
 from fogspec.review.changed import Carried
 from fogspec.review.deployed import LATENCY, MONTH, REQUEST, Deployed, figure_rows, share
 from fogspec.review.diff import Difference, Rollout, Whole, from_here
-from fogspec.review.diff_text import SENTENCES, headline
+from fogspec.review.diff_text import MAY_BE_NEWER, SENTENCES, headline
 
 MARK = "<!-- fogspec review -->"
 LONGEST = 65_536  # characters that GitHub takes in a comment
@@ -52,7 +52,7 @@ def markdown(whole: Whole, picture_base: str | None = None, longest: int = LONGE
     folded = len(shown) > 1
     sections = chain(
         (_section(one, picture_base, whole.base is not None, folded, {*inputs, *warnings}) for one in shown),
-        starmap(_removal, whole.removed.items()),
+        (_removal(name, last, whole) for name, last in whole.removed.items()),
     )
     body = list[str]()
     for place, section in enumerate(sections):
@@ -69,6 +69,8 @@ def markdown(whole: Whole, picture_base: str | None = None, longest: int = LONGE
 
 def _summary(whole: Whole, shown: Sequence[Difference]) -> Iterator[str]:
     """Yield what decides, one fact an item."""
+    if whole.warning is not None:
+        yield f"- **Not only this change**: {md(whole.warning)}."
     yield f"- **{whole.changed}.** All machines: {whole.costs}."
     kinds = {name: sum(one.rollout == name for one in shown) for name in SENTENCES}
     if any(kinds.values()):
@@ -132,7 +134,7 @@ def _table(shown: Sequence[Difference], whole: Whole, most: int) -> list[str]:
     total = f"| **all** | | {_both(before, after)}{_share(*whole.months_usd)} | | | |"
     rows = [
         *map(_row, shown),
-        *starmap(_removed_row, whole.removed.items()),
+        *(_removed_row(name, last, whole) for name, last in whole.removed.items()),
     ]
     left, kept = most - _length([*head, total]) - RESERVED, list[str]()
     for row in rows:
@@ -157,8 +159,9 @@ def _row(one: Difference) -> str:
     return f"| {md(one.name)} | {' | '.join(cells)} | {ROLLOUTS[one.rollout]}{stops} |"
 
 
-def _removed_row(name: str, last: Deployed) -> str:
-    return f"| {md(name)} | {_both(last.place, 'none')} | | | | keeps running until `down` |"
+def _removed_row(name: str, last: Deployed, whole: Whole) -> str:
+    on_apply = MAY_BE_NEWER if whole.warning else "keeps running until `down`"
+    return f"| {md(name)} | {_both(last.place, 'none')} | | | | {on_apply} |"
 
 
 def _both(before: str, after: str) -> str:
@@ -277,8 +280,10 @@ def _some(lines: Sequence[str]) -> list[str]:
     return [*lines[:MOST_INPUTS], *more]
 
 
-def _removal(name: str, last: Deployed) -> list[str]:
+def _removal(name: str, last: Deployed, whole: Whole) -> list[str]:
     """Return the section about a removed application; merging terminates no machine."""
+    if whole.warning:
+        return [f"### {md(name)}: {MAY_BE_NEWER}", ""]
     facts = [f"- {md(text)}" for text in last.facts[:1]]
     down = code(shell_command("fogspec", "down", name))
     return [f"### {md(name)}: no longer deployed", "", *facts, f"- its deployment keeps running: {down} ends it", ""]

@@ -146,7 +146,8 @@ class Difference:
 class Whole:
     """All that a change does: the applications that it may concern, and the manifests of the `others`.
 
-    `removed` are the last manifests of removed applications, `invalid` the errors of specs that cannot be read.
+    `removed` are the last manifests of removed applications, `invalid` the errors of specs that cannot be read. With a
+    `warning` all of it may be of others, too.
     """
 
     base: str | None
@@ -154,6 +155,7 @@ class Whole:
     others: Mapping[str, Deployed | None] = field(default_factory=dict)
     removed: Mapping[str, Deployed] = field(default_factory=dict)
     invalid: Sequence[Diagnostic] = ()
+    warning: str | None = None
 
     @property
     def shown(self) -> list[Difference]:

@@ -11,6 +11,7 @@ from fogspec.review.deployed import figure_rows
 from fogspec.review.diff import Difference, Rollout, Whole
 
 MOST_SAMPLES = 6
+MAY_BE_NEWER = "not in this checkout: others may have added it since"
 SENTENCES: dict[Rollout, str] = {
     "start": "`apply` starts the first machine.",
     "replace": "`apply` starts a new machine, and ends the old one once the new one answers.",
@@ -43,10 +44,14 @@ def as_text(whole: Whole) -> str:
     """Return the differences as text: without a base of each application, else of those that differ, with their sum."""
     if whole.base is None:
         return "\n\n".join(_lines(one, base=False) for one in whole.found)
-    texts = [_lines(one, base=True) for one in whole.shown]
+    texts = [
+        *([f"warning: {whole.warning}"] if whole.warning else []),
+        *(_lines(one, base=True) for one in whole.shown),
+    ]
     for name, last in whole.removed.items():
         down = shell_command("fogspec", "down", name)
-        texts.append(paragraph([f"{name}: no longer deployed; {last.place} keeps running until {down}"]))
+        ended = f"no longer deployed; {last.place} keeps running until {down}"
+        texts.append(paragraph([f"{name}: {MAY_BE_NEWER if whole.warning else ended}"]))
     return "\n\n".join([*texts, f"{whole.changed}; all machines: {whole.costs}"])
 
 
@@ -84,6 +89,7 @@ def as_dict(whole: Whole) -> dict[str, Any]:
     before_usd, after_usd = whole.months_usd
     return {
         "base": whole.base,
+        "warning": whole.warning,
         "applications": [_data(one) for one in whole.found],
         "not_affected": sorted(whole.others),
         "removed": [{"name": name, "before": last.as_dict()} for name, last in whole.removed.items()],

@@ -14,6 +14,10 @@ from fogspec.language.loader import LoadedSpec, SourceFile
 from fogspec.language.rules.policies import FOLDER, SUFFIX
 
 LONGEST_TEXT = 500  # to look for in the history
+UNKNOWN_BASE = (
+    "where this change starts is not in this shallow clone: what others merged since {} is in it, too; "
+    "git fetch --unshallow, or fetch-depth: 0 for actions/checkout"
+)
 PRICES = ".csv"  # how a price list ends, in whatever folder
 PROSE = (".md", ".rst")  # how files end that nothing reads, outside of an application's own folder
 OWN_FOLDERS = ("specs", "compiled", "results", "environments")  # of a project: each file belongs to some application
@@ -34,19 +38,22 @@ class Repository:
                 failed.message,
             ) from None
 
-    def base_of(self, range_: str) -> str:
+    def base_of(self, range_: str) -> tuple[str, bool]:
         """Return the commit that a change starts from: the merge base of BASE in `BASE..HEAD` or `BASE` and the checkout.
 
-        Raise UsageError for a missing commit, or a HEAD that is not checked out.
+        And whether it is known: a shallow clone may not reach it, and then it is BASE, since when others may have merged. Raise
+        UsageError for a missing commit, or a HEAD that is not checked out.
         """
         base, dots, head = range_.partition("..")
         if dots and (head := head.lstrip(".")) and self._commit(head) != self._commit("HEAD"):
             raise UsageError(f"{head} is not what is checked out", shell_command("git", "checkout", head))
         commit = self._commit(base or "HEAD")
         try:
-            return git("merge-base", commit, "HEAD").decode().strip()
+            return git("merge-base", commit, "HEAD").decode().strip(), True
         except UsageError:
-            return commit
+            # A commit names its parents also where a shallow clone has none of them, as that of a pull request's merge.
+            lines = git("cat-file", "commit", "HEAD").partition(b"\n\n")[0].split(b"\n")
+            return commit, f"parent {commit}".encode() in lines
 
     def at(self, commit: str, path: Path) -> bytes | None:
         """Return the content of a file at a commit, None if it did not exist."""
@@ -95,10 +102,14 @@ class Repository:
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """What a change is compared with: a commit, and the files that differ between it and the checkout."""
+    """What a change is compared with: a commit, and the files that differ between it and the checkout.
+
+    Unless it `is_known`, they are not only the change's own.
+    """
 
     repository: Repository
     commit: str
+    is_known: bool
     paths: frozenset[str]
     _content: dict[str, bytes | None] = field(default_factory=dict)
 
@@ -106,8 +117,15 @@ class Base:
     def of(cls, range_: str) -> "Base":
         """Find the commit and the files that differ. Raise the errors of `Repository`."""
         repository = Repository()
-        commit = repository.base_of(range_)
-        return cls(repository, commit, frozenset(os.path.realpath(path) for path in repository.changed(commit)))
+        commit, is_known = repository.base_of(range_)
+        return cls(
+            repository, commit, is_known, frozenset(os.path.realpath(path) for path in repository.changed(commit))
+        )
+
+    @property
+    def warning(self) -> str | None:
+        """Return that the files are not only the change's own; None if they are."""
+        return None if self.is_known else UNKNOWN_BASE.format(self.commit[:12])
 
     def differs(self, path: Path) -> bool:
         """Return whether a file differs between the base and the checkout."""

@@ -208,6 +208,9 @@ def test_a_checkout_without_the_base_fetches_it_or_says_what_to_set(
     assert job.find_base() == ""
     job.run("review")
     job.run("check")
+    # Neither needs a base: what a push, or a merge queue, checks out.
+    job.given["BASE"] = ""
+    job.run("check")
     # The head of the pull request instead of the merge commit, and a head that is a merge itself.
     for ref in (
         job.head,
@@ -219,6 +222,33 @@ def test_a_checkout_without_the_base_fetches_it_or_says_what_to_set(
         job.given |= {"BASE": base, "HEAD": ref}
         job.find_base()
         assert job.given["BASE"] == base
+
+
+@pytest.mark.parametrize("reachable", [True, False])
+def test_the_head_of_a_branch_in_a_shallow_clone_is_deepened_until_it_meets_the_base(
+    repository: Shell, origin: Path, github: GitHub, tmp_path: Path, reachable: bool
+) -> None:
+    """Where it may not fetch, comment and check say that others' changes are in them."""
+    start = cheaper(repository)
+    git(repository.folder, "checkout", "-q", start)
+    repository.neighbour("other", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
+    base = commit(repository, "of others")
+    git(repository.folder, "push", "-q", "origin", "HEAD:refs/heads/target")
+    job = Job(tmp_path / "job", origin, base, github, depth=1)
+    for one in (job.head, base):
+        git(job.folder, "fetch", "-q", "--depth=1", f"file://{origin}", one)
+    git(job.folder, "checkout", "-q", job.head)
+    if reachable:
+        git(job.folder, "remote", "set-url", "origin", f"file://{origin}")
+    job.given |= {"BASE": base}
+    job.find_base()
+    assert job.given["BASE"] == base
+    job.run("review")
+    assert ("Not only this change" in job.summary) != reachable
+    assert "down" not in job.summary
+    if reachable:
+        assert "**1 of 1 application changed.**" in job.summary
+        job.run("check")
 
 
 def test_two_calls_in_one_pull_request_have_two_comments(

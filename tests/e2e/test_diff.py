@@ -550,3 +550,61 @@ def test_a_price_list_in_anothers_folder_concerns_all_that_it_is_locked_for(repo
     said = repository("diff", "--since", "HEAD", "--markdown").out
     assert "### demo: the manifest is not fresh" in said
     assert "Unchanged, without a manifest: third." in said
+
+
+@pytest.fixture
+def stale(repository: Shell) -> dict[str, str]:
+    """A branch `pr`, a `main` to which others added an application meanwhile, and the commit that merges them; their hashes."""
+    made = {"start": git(repository.folder, "rev-parse", "HEAD")}
+    main = git(repository.folder, "branch", "--show-current")
+    git(repository.folder, "checkout", "-q", "-b", "pr")
+    change(repository, "alpha: 0.5", "alpha: 0")
+    repository("compile", "specs/demo.yaml")
+    made["pr"] = commit(repository, "cheaper")
+    git(repository.folder, "checkout", "-q", main)
+    repository.neighbour("other", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
+    repository.write("compiled/other/manifest.yaml", repository.read("compiled/demo/manifest.yaml"))
+    made["main"] = commit(repository, "of others")
+    git(repository.folder, "merge", "-q", "--no-ff", "-m", "merge", "pr")
+    made["merge"] = git(repository.folder, "rev-parse", "HEAD")
+    git(repository.folder, "config", "uploadpack.allowAnySHA1InWant", "true")
+    return made
+
+
+def shallow(shell: Shell, head: str, base: str) -> Shell:
+    """A clone that has two commits and nothing between them, with `head` checked out."""
+    folder = shell.folder.with_name("clone")
+    git(shell.folder.parent, "init", "-q", "clone")
+    for one in (head, base):
+        git(folder, "fetch", "-q", "--depth=1", f"file://{shell.folder}", one)
+    git(folder, "checkout", "-q", head)
+    return dataclasses.replace(shell, folder=folder)
+
+
+def test_a_merge_commit_names_its_base_in_a_shallow_clone_too(repository: Shell, stale: dict[str, str]) -> None:
+    clone = shallow(repository, stale["merge"], stale["main"])
+    text = clone("diff", "--since", stale["main"], "--markdown").out
+    assert "**1 of 2 applications changed.**" in text
+    assert "Not only this change" not in text
+    assert "is in it, too" not in clone("check", "--since", stale["main"]).err
+
+
+@pytest.mark.parametrize(("head", "base"), [("merge", "start"), ("pr", "main")])
+def test_where_the_base_cannot_be_known_that_is_said_first_and_nothing_is_to_be_ended(
+    repository: Shell, stale: dict[str, str], head: str, base: str
+) -> None:
+    clone = shallow(repository, stale[head], stale[base])
+    says = f"what others merged since {stale[base][:12]} is in it, too"
+    text = clone("diff", "--since", stale[base], "--markdown", code=None).out
+    assert "Not only this change" in text.split("\n- ")[1]
+    checked, told = (
+        clone("check", "--since", stale[base], code=None),
+        clone("diff", "--since", stale[base], code=None).out,
+    )
+    assert checked.err.startswith("warning: where this change starts is not in this shallow clone: ")
+    assert told.startswith("warning: where this change starts is not in this shallow clone: ")
+    assert says in json.loads(clone("diff", "--since", stale[base], "-o", "json", code=None).out)["warning"]
+    for found in (text, told, checked.out, checked.err):
+        assert "down" not in found
+    git(clone.folder, "fetch", "-q", "--unshallow", f"file://{repository.folder}", stale["merge"])
+    assert "Not only" not in clone("diff", "--since", stale[base], "--markdown", code=None).out
