@@ -226,9 +226,7 @@ def against_spec(application: Application, machine: Machine) -> str | None:
         name = f"{LOCAL}/{machine.instance}" if machine.is_local else machine.instance
         if name not in listed or machine.is_local:
             return None if name in listed else "benchmark.machines"
-    field = field_against(machine, spec.hardware, spec.infra)
-    # A listed machine may have any shape.
-    return None if listed and field not in ("infra", "hardware.spot") else field
+    return field_against(machine, spec.hardware, spec.infra)
 
 
 def _todo(plan: Plan, results: Results | None, only: Sequence[str]) -> list[Sample]:

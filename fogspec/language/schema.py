@@ -492,7 +492,7 @@ class Benchmark(Strict):
     )
     machines: Annotated[list[str], affects("plan")] = Field(
         [],
-        description="sample exactly these: instance types, or local/<n>cpu-<m>gib",
+        description="sample exactly these: instance types that the spec admits, or local/<n>cpu-<m>gib",
         examples=[["c6i.large", "c6i.4xlarge"]],
     )
     stop: Annotated[Stop, affects("plan")] = Field(

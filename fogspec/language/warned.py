@@ -262,11 +262,6 @@ def burstable(*, infra: str, machine: str) -> str:
     return f"{infra} {machine} is burstable, its latency depends on CPU credits left"
 
 
-def not_candidate(*, machine: str) -> str:
-    """Note a listed machine that cannot be chosen."""
-    return f"{machine} is listed in benchmark.machines, and is not a candidate: hardware does not admit it"
-
-
 def selects_more(*, at_once: int | None = None, budget_usd: float | None = None) -> str:
     """Note that the model selects the next machines; how, of a plan of the first batch."""
     if at_once is None:
@@ -326,7 +321,7 @@ CODES: Mapping[str, Callable[..., str]] = {
         waits, rate_unknown, few_samples, constant_curve, curve_error, sample_rejected, mixed_servers, gpu_idle, swapped,
         contended, more_memory, cpu_quota, image_unpinned, open_port,
         unpredicted, nothing_sampled, one_platform, level_skipped, memory_snapped,
-        sampled_once, burstable, not_candidate, selects_more, batch, sampling_ended, left_out, over_limit, machine_failed,
+        sampled_once, burstable, selects_more, batch, sampling_ended, left_out, over_limit, machine_failed,
         unlikely,
     )
 }  # fmt: skip

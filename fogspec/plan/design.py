@@ -15,6 +15,7 @@ from fogspec.catalog.classes import platforms, startable, takes_images
 from fogspec.catalog.filters import (
     Filtered,
     before_empty,
+    field_against,
     gpu_type,
     in_zones,
     matches_gpu,
@@ -113,7 +114,7 @@ def design(spec: Spec, catalog: Catalog, admissible: Filtered, measured: Mapping
     Raises Infeasible if there are none, InvalidInput for an unknown instance type.
     """
     if spec.benchmark.machines:
-        found = _listed(spec, catalog, admissible)
+        found = _listed(spec, catalog, admissible, measured or {})
     elif spec.sampler == "list":
         offers = admissible.offers
         found = Design(
@@ -240,18 +241,25 @@ def _grid_notes(grid: Grid, group: Catalog, infra: str, gpu: str) -> Iterator[Wa
             yield warned(codes.burstable, infra=infra, machine=machine)
 
 
-def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
+def _listed(spec: Spec, catalog: Catalog, admissible: Filtered, measured: Mapping[str, Machine]) -> Design:
+    """Return the listed machines; raise InvalidInput for one to be rented that the spec keeps from being chosen."""
     samples: list[Sample] = []
-    notes: list[Warned] = []
-    admitted = set(admissible.offers.instance.tolist())
+    admitted = {*admissible.offers.instance.tolist(), *(one.instance for one in measured.values())}
     for name in spec.benchmark.machines:
         if here := host_shape(name):
             samples.append(sample_on(here, "listed in benchmark.machines"))
             continue
-        samples += _found(name, spec, catalog)
+        found = list(_found(name, spec, catalog))
         if name not in admitted:
-            notes.append(warned(codes.not_candidate, machine=name))
-    return Design(tuple(samples), tuple(notes))
+            machine = found[0].machine
+            field = field_against(machine, spec.hardware, spec.infra) or "hardware.allow"
+            has = {"hardware.gpus": f", it has {machine.gpu_key}", "hardware.allow": ", for its class"}.get(field, "")
+            raise InvalidInput(
+                f"spec.benchmark.machines: {name} could never be chosen: spec.{field} does not admit it{has}",
+                f"admit it in spec.{field}, or leave it out",
+            )
+        samples += found
+    return Design(tuple(samples), ())
 
 
 def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:

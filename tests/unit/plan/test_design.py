@@ -7,7 +7,7 @@ from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
 from fogspec.language.schema import Application
-from fogspec.language.warned import burstable, not_candidate, sampled_once, sentence, warned
+from fogspec.language.warned import burstable, sampled_once, sentence, warned
 from fogspec.plan.design import Design, design, make_plan
 from fogspec.plan.schema import Plan, next_on, sample_id
 from tests.support.catalogs import application, table
@@ -85,16 +85,37 @@ def test_overlapping_places_sample_a_machine_once() -> None:
     assert warned(sampled_once, infra="aws/us-east-1", machine="m6i.large") in found.notes
 
 
-def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
+def test_a_list_is_taken_as_it_stands() -> None:
     wanted = ["g4dn.xlarge", "c6i.large", "local/2cpu-4gib"]
-    found = picked(application(infra=["aws/us-west-1", "aws/us-east-1"], machines=wanted), table(*OFFERS))
+    both = application({"gpus": ["none", "T4"]}, ["aws/us-west-1", "aws/us-east-1"], machines=wanted)
+    found = picked(both, table(*OFFERS))
     assert [(one.machine.infra, one.machine.instance, one.machine.price) for one in found.samples] == [
         ("aws/us-east-1", "g4dn.xlarge", 0.526),
         ("aws/us-west-1", "c6i.large", 0.106),
         ("aws/us-east-1", "c6i.large", 0.085),
         ("local", "2cpu-4gib", 0.0),
     ]
-    assert found.notes == (warned(not_candidate, machine="g4dn.xlarge"),)
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("hardware", "name", "says"),
+    [
+        ({}, "g4dn.xlarge", "hardware.gpus does not admit it, it has T4:1"),
+        ({"gpus": ["T4"]}, "g4dn.12xlarge", "hardware.gpus does not admit it, it has T4:4"),
+        ({"gpus": ["T4:4"]}, "g4dn.xlarge", "hardware.gpus does not admit it, it has T4:1"),
+        ({"cpus": "4.."}, "c6i.large", "hardware.cpus does not admit it"),
+        ({"deny": ["c6i.*"]}, "c6i.large", "hardware.deny does not admit it"),
+        ({}, "t3.large", "hardware.allow does not admit it, for its class"),
+    ],
+)
+def test_a_listed_machine_that_can_never_be_chosen_is_an_error(
+    hardware: dict[str, object], name: str, says: str
+) -> None:
+    offers = (*OFFERS, "g4dn.12xlarge,T4,4,48,192,3.912,,us-east-1,a", "t3.large,,,2,8,0.083,,us-east-1,a")
+    with pytest.raises(InvalidInput, match=f"{name} could never be chosen: spec.{says}") as caught:
+        picked(application(hardware, machines=[name]), table(*offers))
+    assert caught.value.hints == (f"admit it in spec.{says.split(' ')[0]}, or leave it out",)
 
 
 def test_an_unknown_listed_machine_is_a_mistake_with_a_suggestion() -> None:
