@@ -109,7 +109,8 @@ def parse_money_usd(text: Any) -> float:
     if re.fullmatch(NUMBER, body):
         raise UnitError("must say its currency", f"${body}", "FS202")
     match = re.fullmatch(rf"(?:USD|usd)?\s*({NUMBER})\s*(?:USD|usd|dollars?|\$)?", body)
-    raise UnitError("must be an amount such as $2.50 or 40 cent", f"${match[1]}" if match else None)
+    wrong = UnitError("must be an amount such as $2.50 or 40 cent", f"${match[1]}" if match else None)
+    raise _decimal_comma(body) or wrong
 
 
 def parse_cost_usd_per_request(text: Any) -> float:
@@ -182,7 +183,7 @@ def parse_range(text: Any, parse: Callable[[Any], float]) -> Range:
         try:
             value = parse(text)
         except UnitError as unread:
-            raise _meant_range(body, parse) or unread from None
+            raise _meant_range(body, parse) or _meant_least(body, parse) or unread from None
         return Range(value, value)
     low_text, _, high_text = (part.strip() for part in body.partition(".."))
     if not low_text and not high_text:
@@ -220,6 +221,20 @@ def _meant_range(text: str, parse: Callable[[Any], float]) -> UnitError | None:
         if all(ends) and ends
         else None
     )
+
+
+def _meant_least(text: str, parse: Callable[[Any], float]) -> UnitError | None:
+    """Return the error of `16+`, as SkyPilot writes a least value, or `>=16`; None for other text."""
+    match = re.fullmatch(rf"({NUMBER}\s*\w*)\s*\+|(?:>=|≥)\s*({NUMBER}\s*\w*)", text)
+    least = _end((match[1] or match[2]).strip(), parse)[1] if match else None
+    return UnitError("must be a range with '..', here without an upper end", f"{least}..") if least else None
+
+
+def _decimal_comma(text: str) -> UnitError | None:
+    """Return the error of `1,5s`; None for other text, and for `1,500ms`, which may be either."""
+    if not re.fullmatch(r"\D*\d+,(\d{1,2}|\d{4,})\s*\D*", text):
+        return None
+    return UnitError("must have a point before its decimals", text.replace(",", "."))
 
 
 def _end(text: str, parse: Callable[[Any], float]) -> tuple[float | None, str | None, UnitError | None]:
@@ -448,7 +463,7 @@ def _parse_scaled(text: Any, units: Mapping[str, float], spellings: Mapping[str,
     if not match:
         if body.startswith("-") and re.fullmatch(rf"{NUMBER}\s*({'|'.join(units)})", body[1:].strip()):
             raise UnitError("must not be negative", body[1:].strip())
-        raise UnitError(f"must be {what} with its unit, such as 2{usual}")
+        raise _decimal_comma(body) or UnitError(f"must be {what} with its unit, such as 2{usual}")
     scale = units.get(match[2])
     if scale is None:
         fix = (meant := _close(match[2].lower(), units, spellings)) and f"{match[1]}{meant}"

@@ -1,4 +1,4 @@
-"""Forty-six mistakes of a new user, through the command line: what is printed, and whether its first fix is right.
+"""Forty-nine mistakes of a new user, through the command line: what is printed, and whether its first fix is right.
 
 Each case changes a valid spec, or runs a wrong command. `mistakes.txt` holds what is printed, to be read like a user;
 FOGSPEC_REWRITE=1 writes it again. The first fix is applied literally, and the command is run again.
@@ -64,10 +64,12 @@ MISTAKES = (
     Mistake("a latency without its unit", "latency: 500ms", "latency: 0.5"),
     Mistake("a latency that may be in milliseconds", "latency: 500ms", "latency: 2000", fixed=False),
     Mistake("another spelling of a unit", "latency: 500ms", "latency: 500msec"),
+    Mistake("a decimal comma", "latency: 500ms", "latency: 0,5s"),
     Mistake("a negative latency", "latency: 500ms", "latency: -500ms"),
     Mistake("a cost of nothing in particular", "$0.001/request", "$0.001"),
     Mistake("a cost without currency and unit", "$0.001/request", "0.001"),
     Mistake("a range of memory with a dash", "2GiB..64GiB", "2G-64G"),
+    Mistake("a least value as SkyPilot writes it", "memory: 2GiB..64GiB", "memory: 4+"),
     Mistake("a memory size in GB", "memory: 2GiB..64GiB", "memory: 16GB.."),
     Mistake("a GPU with the size of its memory", "memory: 2GiB..64GiB", "gpus: [A100-40GB]"),
     Mistake("a timeout among what ends a sample", "stop: {duration: 1min}", "stop: {timeout: 10s}", fixed=False),
@@ -88,6 +90,7 @@ MISTAKES = (
     Mistake("one node in place of a list of nodes", "    - cmd: [python3", "    cmd: [python3"),
     Mistake("a key that is set twice", "    alpha: 0.7\n", "    alpha: 0.7\n    alpha: 0.5\n"),
     Mistake("a tab", "    alpha: 0.7", "\talpha: 0.7"),
+    Mistake("a no-break space", "    alpha: 0.7", "\u00a0   alpha: 0.7"),
     Mistake("a quote that is not closed", "name: stitch", 'name: "stitch'),
     Mistake("a line that is not indented", "  name: stitch", "name: stitch"),
     Mistake("a field in the wrong section", "  objective:\n    alpha: 0.7\n", "  alpha: 0.7\n"),
@@ -160,6 +163,8 @@ def repaired(text: str, one: dict[str, object]) -> tuple[str, str]:
         del lines[at]
     elif found := re.match(r"indent it by (\d+) spaces", fix):
         lines[at] = " " * int(found[1]) + line
+    elif found := re.match(r"indent it with (\d+) spaces", fix):
+        lines[at] = " " * int(found[1]) + line.lstrip()
     elif found := re.match(r"replace the tab with (\d+) spaces", fix):
         lines[at] = line.replace("\t", " " * int(found[1]))
     elif fix == "add the closing quote at the end of this line":
@@ -247,6 +252,6 @@ def test_the_first_fix_is_right(
     assert is_right(mistake, said, root, capsys) == mistake.fixed, said
 
 
-def test_a_single_fix_is_right_for_all_but_four_of_46() -> None:
-    assert len(MISTAKES) == 46
+def test_a_single_fix_is_right_for_all_but_four_of_49() -> None:
+    assert len(MISTAKES) == 49
     assert sum(one.fixed for one in MISTAKES) >= 42

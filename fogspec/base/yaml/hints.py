@@ -18,6 +18,7 @@ SYNTAX = (
     (re.compile(r"expected <block end>"), "the line must be indented like its neighbours", "align it with the lines above"),
     (re.compile(r"undefined alias"), "the anchor must be defined before it is used", None),
 )  # fmt: skip
+TAB = "\t"
 CONFLICT = ("<" * 7, "=" * 7, ">" * 7)
 MISPLACED = ("mapping values are not allowed", "expected <block end>", "could not find expected ':'")
 
@@ -61,17 +62,8 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     if mark is None:
         return SyntaxHint(line=0, column=0, width=1, message=f"the text must be YAML: {problem}", fix=None)
     stop = min(mark.line, len(lines) - 1)
-    lead = lines[stop][: len(lines[stop]) - len(lines[stop].lstrip())]
-    if "\t" in lead:
-        column = lead.index("\t")
-        return SyntaxHint(
-            line=stop,
-            column=column,
-            width=1,
-            message="indentation must be spaces, not tabs",
-            fix=f"replace the tab with {_wanted(lines, stop)} spaces",
-            code="FS105",
-        )
+    if (blank := _other_blank(lines, stop)) is not None:
+        return blank
     inside = "quoted" in context or "flow" in context
     if not inside and any(known in problem for known in MISPLACED):
         found = None if "simple key" in context else misplaced(lines, stop)
@@ -90,6 +82,23 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     return SyntaxHint(
         line=min(mark.line, len(lines) - 1), column=mark.column, width=1, message=message, fix=fix_or_none
     )
+
+
+def _other_blank(lines: Sequence[str], stop: int) -> SyntaxHint | None:
+    """Return what to do about an indentation with tabs; or with no-break spaces or the like, for which the line after stops."""
+    before = _before(lines, stop)
+    for at in (stop, *([] if before is None else [before])):
+        lead = lines[at][: len(lines[at]) - len(lines[at].lstrip())]
+        if found := lead.lstrip(" ")[: 1 if at == stop else 0] or lead.strip(" \t")[:1]:
+            return SyntaxHint(
+                line=at,
+                column=lead.index(found),
+                width=1,
+                message=f"indentation must be spaces, not {'tabs' if found == TAB else 'no-break spaces'}",
+                fix=f"{'replace the tab' if found == TAB else 'indent it'} with {_wanted(lines, at)} spaces",
+                code="FS105",
+            )
+    return None
 
 
 def misplaced(lines: Sequence[str], stop: int) -> tuple[int, str, str] | None:

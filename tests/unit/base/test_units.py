@@ -276,6 +276,36 @@ def test_a_range_with_another_sign_is_mended_where_both_ends_are_known(text: str
     assert wrong.value.fix == fix
 
 
+@pytest.mark.parametrize(
+    ("parse", "text", "fix"),
+    [
+        (units.parse_count, "16+", "16.."),
+        (units.parse_count, ">= 16", "16.."),
+        (units.parse_memory_gib, "32+", "32GiB.."),
+        (units.parse_memory_gib, "32 GB+", "32GiB.."),
+    ],
+)
+def test_a_least_value_as_skypilot_writes_it_is_an_open_range(parse, text: str, fix: str) -> None:
+    with pytest.raises(UnitError) as wrong:
+        units.parse_range(text, parse)
+    assert wrong.value.fix == fix
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "fix"),
+    [
+        (units.parse_duration_s, "1,5s", "1.5s"),
+        (units.parse_duration_s, "1,5 s", "1.5 s"),
+        (units.parse_money_usd, "$2,50", "$2.50"),
+        (units.parse_duration_s, "1,500ms", None),
+    ],
+)
+def test_a_decimal_comma_is_mended_where_it_can_be_nothing_else(parse, text: str, fix: str | None) -> None:
+    with pytest.raises(UnitError) as wrong:
+        parse(text)
+    assert wrong.value.fix == fix
+
+
 def test_a_deployment_lasts_longer_than_no_time() -> None:
     assert units.check_until(" 1s ") == "1s"
     with pytest.raises(UnitError, match="more than zero"):
