@@ -63,10 +63,13 @@ LONGEST_OUTPUT = 64 << 20  # bytes; what a checkout holds is not ours to bound
 LONGEST_REPORT = 1 << 16
 
 
-def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
-    """Return the output of a git command that reads; raise UsageError with git's own first line if it fails."""
+def git(*words: str, folder: str | os.PathLike[str] = ".", index: str | None = None) -> bytes:
+    """Return the output of a git command that reads; raise UsageError with git's own first line if it fails.
+
+    It reads what is staged from the file `index`, by default the repository's own.
+    """
     kept = {k: v for k, v in child.environment().items() if not k.startswith("GIT_") or k.startswith("GIT_CONFIG")}
-    kept = kept | QUIET
+    kept = kept | QUIET | ({} if index is None else {"GIT_INDEX_FILE": index})
     if "diff" in words:  # it passes files through the filters of their attributes: programs, too
         kept = _configured(kept, _no_filters(folder, kept))
     ended = _run(words, folder, OVERRIDES, kept)

@@ -98,7 +98,10 @@ def command(
 
         say_text(text(found.approved), end="")
     if found.approved:
-        note(f"apply{' --resolve-image' if resolve_image else ''} deploys what is committed")
+        left = [] if repository is None else _not_staged(repository, [one for one in loaded if one.name in wanted])
+        apply = f"apply{' --resolve-image' if resolve_image else ''} deploys what is"
+        more = f" and {len(left) - 1} more" if len(left) > 1 else ""
+        note(f"{apply} here; not part of the commit yet: {left[0]}{more}" if left else f"{apply} committed")
 
 
 def _base(since: str | None) -> "tuple[Repository | None, str | None, bool]":
@@ -117,6 +120,17 @@ def _base(since: str | None) -> "tuple[Repository | None, str | None, bool]":
         if since not in (None, "HEAD"):
             raise
         return repository, None, True  # there is no commit yet: all of it is new
+
+
+def _not_staged(repository: "Repository", judged: "Sequence[LoadedSpec]") -> list[str]:
+    """Return the compiled files, results and locks of these applications that the next commit lacks as they are here."""
+    ours = [
+        os.path.realpath(path) for one in judged for path in (one.layout.compiled, one.layout.results, one.layout.lock)
+    ]
+    found = (os.path.realpath(path) for path in repository.not_staged())
+    return sorted(
+        os.path.relpath(path) for path in found if any(path == one or path.startswith(f"{one}{os.sep}") for one in ours)
+    )
 
 
 def _specs(specs: Sequence[str], gone: Sequence[str]) -> "tuple[list[LoadedSpec], list[Diagnostic]]":

@@ -69,10 +69,23 @@ class Repository:
 
     def changed(self, commit: str) -> list[Path]:
         """Return the files that differ between a commit and the checkout, those that git does not know yet included."""
+        return self._differing(commit)
+
+    def not_staged(self) -> list[Path]:
+        """Return the files that the next commit lacks as they are here, those that git does not know yet included.
+
+        In a hook of git's, the next commit is the one that is being made.
+        """
+        index = os.path.abspath(os.environ.get("GIT_INDEX_FILE", ""))  # of a hook, which git starts at the top
+        own = os.path.dirname(index) == git("rev-parse", "--absolute-git-dir").decode().strip()
+        return self._differing(index=index if own else None)
+
+    def _differing(self, *commit: str, index: str | None = None) -> list[Path]:
         plain = ("--name-only", "-z", "--no-ext-diff", "--no-textconv", "--no-renames", "--no-relative")
-        names = git("diff", *plain, commit, "--").split(b"\0")
-        names += git("ls-files", "--others", "--exclude-standard", "--full-name", "-z", "--", ":/").split(b"\0")
-        return [self.top / os.fsdecode(name) for name in names if name]
+        names = git("diff", *plain, *commit, "--", index=index).split(b"\0")
+        others = ("ls-files", "--others", "--exclude-standard", "--full-name", "-z", "--", ":/")
+        names += git(*others, index=index).split(b"\0")
+        return [self.top / os.fsdecode(name) for name in dict.fromkeys(names) if name]
 
     def first_day(self, path: Path, text: str) -> str | None:
         """Return the day of the commit that first had a text in a file; None if the history of the clone does not reach it."""

@@ -3,9 +3,11 @@
 What is edited by hand: `test_tampering`.
 """
 
+import dataclasses
 import json
 import re
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -185,6 +187,31 @@ def test_a_base_that_is_not_in_the_clone_is_said(repo: Shell) -> None:
     assert "git fetch origin" in said.err
 
 
+HOOK = """#!/bin/sh
+exec {python} -m fogspec check --since HEAD > "{said}" 2>&1
+"""
+
+
+def test_half_a_commit_is_said_also_in_a_linked_worktree(repo: Shell) -> None:
+    """In git's own hook, of `commit`, `commit -a` and `commit PATH`, which have an index of their own each."""
+    said = repo.folder.parent / "said"
+    hook = repo.write(".git/hooks/pre-commit", HOOK.format(python=sys.executable, said=said))
+    hook.chmod(0o755)
+    tree = dataclasses.replace(repo, folder=repo.folder.with_name("linked"))
+    git(repo, "worktree", "add", "-q", str(tree.folder), "-b", "linked")
+    for limit_s, one in ((20, repo), (30, tree)):
+        for words, left in ((("specs",), True), (("-a",), False)):
+            replaced("specs/demo.yaml", "latency: [0-9]+s", f"latency: {limit_s + left}s")(one)
+            one("compile")
+            git(one, "commit", "-qm", "half or whole", *words)
+            assert ("apply deploys what is committed\n" in said.read_text()) != left
+            assert (
+                "apply deploys what is here; not part of the commit yet: compiled/demo/" in said.read_text()
+            ) == left
+            git(one, "commit", "-qam", "the rest", "--allow-empty")
+    git(repo, "worktree", "remove", "--force", str(tree.folder))
+
+
 def test_policies_and_committed_live_state_fail_it(repo: Shell) -> None:
     policy = {"properties": {"spec": {"properties": {"infra": {"const": ["gcp/r1"]}}}}}
     repo.write("policies/place.application.schema.json", json.dumps(policy))
@@ -235,10 +262,12 @@ def test_an_image_that_is_not_pinned_fails_it_as_apply_refuses_it(repo: Shell) -
     assert "image ros:jazzy is not pinned, so that apply refuses it: fogspec lock specs/demo.yaml, then fogspec" in said
     assert "is not pinned" in repo("apply", MANIFEST, "--dry-run", code=5).err
     assert "**Image not pinned**, so that `apply` refuses it: demo" in repo("diff", "--since", "HEAD", "--markdown").out
+    git(repo, "add", "-A")
     assert "apply --resolve-image deploys what is committed" in repo("check", "--resolve-image").err
     assert '{code: image_unpinned, image: "ros:jazzy"}' in repo.read("compiled/demo/plan.yaml")
     replaced("specs/demo.yaml", "  ros: {distro: jazzy, image: ros:jazzy}\n", "")(repo)
     with_image(f"ros@sha256:{'0' * 64}")
+    git(repo, "add", "-A")
     assert "apply deploys what is committed" in repo("check").err
     assert "not pinned" not in repo("diff", "--since", "HEAD", "--markdown").out
     assert "is not pinned" not in repo.read("compiled/demo/plan.yaml")
