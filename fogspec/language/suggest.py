@@ -12,20 +12,20 @@ SYNONYMS = {
     "maxcost": "cost", "timeout": "duration", "limit": "constraints", "limits": "constraints", "command": "cmd",
     "usage": "load", "throughput": "load", "topics": "expose", "services": "expose", "actions": "expose", "maxspend": "budget",
     "docker": "image", "container": "image", "weight": "alpha", "hardwares": "hardware", "bench": "benchmark",
-    "machines": "allow", "node": "executable",
+    "machines": "allow", "node": "executable", "k8s": "kubernetes",
 }  # fmt: skip
 EITHER = {"timeout"}  # of one request, or of the sample: which is meant only the author knows
 
 
-def closest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known word that was most likely meant, or None."""
+def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str | None:
+    """Return the known word that was most likely meant, or None; `alike` is the least ratio of `difflib`."""
     plain = {_plain(one): one for one in known}
     meant = _plain(word)
     if meant in plain:
         return plain[meant]
     if SYNONYMS.get(meant) in plain.values():
         return SYNONYMS[meant]
-    if near := difflib.get_close_matches(meant, plain, n=1, cutoff=0.6):
+    if near := difflib.get_close_matches(meant, plain, n=1, cutoff=alike):
         return plain[near[0]]
     starts = [one for one in plain if len(meant) >= 3 and (one.startswith(meant) or meant.startswith(one))]
     return plain[starts[0]] if len(starts) == 1 else None

@@ -23,6 +23,7 @@ from fogspec.base.digest import of_bytes
 from fogspec.catalog.sources import gcp
 from fogspec.catalog.table import About, Catalog, Floats, Strings, strings
 
+LEAST_MIB = 512  # of an accelerator
 MOST_VCPUS = 2000  # in one machine
 REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Region")
 CORE_HOURS = "no column Price: costs are core-hours (core-h), and $1 in a spec stands for one"
@@ -143,12 +144,16 @@ def family_of(cloud: str, instance: str, given: str) -> str:
 
 
 def _gpu_memory_gib(rows: CsvTable) -> Floats:
-    """Return the memory of one accelerator in GiB: from GpuMemMiB, else from SkyPilot's GpuInfo."""
+    """Return the memory of one accelerator in GiB: from GpuMemMiB, else from SkyPilot's GpuInfo.
+
+    SkyPilot's lists of RunPod and Shadeform have GiB there, under the same name.
+    """
     if "GpuMemMiB" in rows.columns:
         return rows.numbers("GpuMemMiB") / 1024
     column = rows.column("GpuInfo")
     found = {text: GPU_MIB.search(text) for text in set(column)}
-    known = {text: float(match[1]) / 1024 if match else math.nan for text, match in found.items()}
+    sizes = {text: float(match[1]) if match else math.nan for text, match in found.items()}
+    known = {text: size / 1024 if size >= LEAST_MIB else size for text, size in sizes.items()}
     return np.fromiter(map(known.__getitem__, column), np.float64, len(column))
 
 
@@ -186,7 +191,7 @@ def _implausible(rows: CsvTable, machines: Catalog) -> Iterator[str]:
         (gib_per_vcpu > 128, "MemoryGiB", "{1:,.4g} GiB per vCPU", "MB"),
         (_below(gib_per_vcpu, 0.02), "MemoryGiB", "{1:,.4g} GiB per vCPU", "TB"),
         (gpu_gib > 4096, gpu, "{2:,.4g} GiB per accelerator", "KiB"),
-        (_below(gpu_gib, 0.5), gpu, "{2:,.4g} GiB per accelerator", "GiB"),
+        (_below(gpu_gib, LEAST_MIB / 1024), gpu, "{2:,.4g} GiB per accelerator", "GiB"),
         (of_median > 100, "Price", "{3:,.4g} times the median price per vCPU", "cents, or USD per month"),
         (_below(of_median, 0.01), "Price", "{3:.2g} times the median price per vCPU", "USD per minute or second"),
     ):

@@ -39,7 +39,7 @@ def places(application: Application) -> Iterator[Finding]:
             fix = f"write '{cloud}/{region}' for all zones, or the name that yours has, such as '{cloud}/{region}/{region}a'"
             yield Finding("FS531", path, f"{dotted(path)} must have a zone's name, and {text} ends in an id", fix)
         elif cloud not in CLOUDS:
-            near = closest(cloud, CLOUDS)
+            near = closest(cloud, CLOUDS, 0.75)  # a newer SkyPilot knows more
             fix = f"write '{near}{text[len(cloud) :]}'" if near else f"write one of {', '.join([*CLOUDS][:6])}, ..."
             start, _, rest = text.partition("-")
             if start in CLOUDS and _cloud_with_region(rest):
@@ -59,13 +59,17 @@ def _cloud_with_region(text: str) -> str | None:
 def gpus(application: Application) -> Iterator[Finding]:
     """Require what can be a GPU's name and a count: what is one, the catalog decides."""
     for i, text in enumerate(application.spec.hardware.gpus):
-        name, colon, count = text.partition(":")
-        counted = not colon or (COUNT.fullmatch(count) and float(count) > 0 and name != "none")
-        if name.strip() and name.isprintable() and counted:
+        if _is_gpu(text):
             continue
-        path = ("spec", "hardware", "gpus", i)
+        path, tidy = ("spec", "hardware", "gpus", i), "".join(text.split())
         message = f"{dotted(path)} must be none, a GPU such as T4, or several such as T4:4, and '{text}' is not"
-        yield Finding("FS532", path, message, "write it like T4, or T4:4")
+        yield Finding("FS532", path, message, f"write '{tidy}'" if _is_gpu(tidy) else "write it like T4, or T4:4")
+
+
+def _is_gpu(text: str) -> bool:
+    name, colon, count = text.partition(":")
+    counted = not colon or bool(COUNT.fullmatch(count) and float(count) > 0 and name != "none")
+    return bool(name.strip()) and name.isprintable() and counted
 
 
 def listed_once(application: Application) -> Iterator[Finding]:

@@ -134,6 +134,14 @@ def test_sizes_that_no_machine_has_are_a_warning_with_the_likely_unit(rows: list
     assert table(*rows, head=head).about.notes == (f"warning: offers.csv:{says}",)
 
 
+def test_the_memory_of_an_accelerator_is_in_gib_where_skypilots_list_has_gib() -> None:
+    info = "\"{'Gpus': [{'MemoryInfo': {'SizeInMiB': %d}}]}\""
+    rows = [f"a,A40,1,4,16,0.1,,r,,{info % 48}", f"b,A40,1,4,16,0.1,,r,,{info % 49152}"]
+    found = table(*rows, head=HEAD + ",GpuInfo")
+    assert found.gpu_memory_gib.tolist() == [48, 48]
+    assert found.about.notes == ()
+
+
 def test_two_sizes_of_one_type_are_said() -> None:
     rows = ["D8as,,,8,32,0.344,,westus3,", "D8as,,,8,64,0.344,,westus3,"]
     said = table(*rows).about.notes

@@ -120,7 +120,8 @@ def test_rules(change: dict[str, str], codes: list[str]) -> None:
     ("entry", "fix"),
     [
         ("us-east-1", "write 'aws/us-east-1'"), ("us-central1", "write 'gcp/us-central1'"),
-        ("awss/eu-west-1", "write 'aws/eu-west-1'"),
+        ("awss/eu-west-1", "write 'aws/eu-west-1'"), ("k8s/ours", "write 'kubernetes/ours'"),
+        ("k8s/arn:aws:eks:us-east-1:1:cluster/ours", "write 'kubernetes/arn:aws:eks:us-east-1:1:cluster/ours'"),
         ("AWS/us-east-1", "write 'aws/us-east-1'"), ("aws us-east-1", "write 'aws/us-east-1'"),
     ],
 )  # fmt: skip
@@ -128,6 +129,17 @@ def test_infra_is_mended(entry: str, fix: str) -> None:
     content = BASE.format(cloud="{ cmd: [plan] }", probe="{ callback: p }", benchmark="{ budget: $1 }", more="")
     _, wrong = check_text(content.replace("infra: [aws]", f"infra: ['{entry}']").encode(), "spec.yaml")
     assert [(one.code, one.fix) for one in wrong] == [("FS531", fix)]
+
+
+def test_a_gpu_is_mended_where_only_its_spaces_are_wrong() -> None:
+    content = BASE.format(
+        cloud="{ cmd: [plan] }", probe="{ callback: p }", benchmark="{ budget: $1 }",
+        more="  hardware: { gpus: ['V100: 0.5', 'T4 : x'] }",
+    )  # fmt: skip
+    assert [one.fix for one in check_text(content.encode(), "spec.yaml")[1]] == [
+        "write 'V100:0.5'",
+        "write it like T4, or T4:4",
+    ]
 
 
 @pytest.mark.parametrize(
