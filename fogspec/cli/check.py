@@ -127,7 +127,7 @@ def _not_staged(repository: "Repository", judged: "Sequence[LoadedSpec]") -> lis
     ours = [
         os.path.realpath(path) for one in judged for path in (one.layout.compiled, one.layout.results, one.layout.lock)
     ]
-    found = (os.path.realpath(path) for path in repository.not_staged())
+    found = (os.path.realpath(path) for path in repository.not_staged() if path.suffix != ".html")  # reports
     return sorted(
         os.path.relpath(path) for path in found if any(path == one or path.startswith(f"{one}{os.sep}") for one in ours)
     )

@@ -308,7 +308,7 @@ class _Reader:
     def usable_tree(
         self, application: Application, layout: Layout, results: Results | None
     ) -> tuple[Mapping[str, str], DiagnosticError | None]:
-        """Return the digests of the files that machines are sent, and with `each` why git has others here than people sent."""
+        """Return the digests of the files that machines are sent, or with `each` why git has made others of them."""
         sent: Mapping[str, str] = {}
         try:
             sent = self.sent(application, layout)

@@ -1,7 +1,7 @@
 """Zones by the names that SkyPilot takes: its tables of AWS have ids, which the names of an account stand for.
 
-`use1-az1` is one zone, `us-east-1a` another one in each account. SkyPilot writes the names of an account
-beside its table, as `az_mappings-<account>.csv` with the columns AvailabilityZone and AvailabilityZoneName.
+`use1-az1` is one zone, `us-east-1a` another one in each account. SkyPilot writes the names of an account beside its table,
+as `az_mappings-<account>.csv` with the columns AvailabilityZone and AvailabilityZoneName.
 """
 
 import re
@@ -29,8 +29,9 @@ def by_name(catalog: Catalog, table: Path, shown: str) -> Catalog:
     Without them, or with those of several accounts, such a zone's offers are those of its region, at the highest price; a
     note says so. Raises DiagnosticError or InvalidInput for names that cannot be read.
     """
-    pairs = zip(catalog.cloud.tolist(), catalog.zone.tolist(), strict=True)
-    is_id = np.fromiter((one in PATTERNS and bool(PATTERNS[one].fullmatch(zone)) for one, zone in pairs), np.bool_)
+    pairs = list(zip(catalog.cloud.tolist(), catalog.zone.tolist(), strict=True))
+    ids = {(one, zone) for one, zone in set(pairs) if one in PATTERNS and PATTERNS[one].fullmatch(zone)}
+    is_id = np.fromiter(map(ids.__contains__, pairs), np.bool_, len(pairs))
     if not is_id.any():
         return catalog
     about, files = catalog.about, sorted(table.parent.glob(NAMES))
