@@ -498,7 +498,8 @@ def _check_line_ends(folder: Path, sent: Mapping[str, str], records: Sequence[Ma
         if sent.get(path, was) != was:
             with contextlib.suppress(OSError):
                 content = read_bounded(folder / path, MOST_TEXT)
-                if was.endswith(of_bytes(content.replace(b"\r\n", b"\n"))):
+                unix = content.replace(b"\r\n", b"\n")
+                if unix != content and was == sent[path].replace(of_bytes(content), of_bytes(unix)):
                     found.append(str(folder / path))
     if found:
         more = f", as of {count(len(found) - 1, 'other file')}" if len(found) > 1 else ""

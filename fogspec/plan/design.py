@@ -257,6 +257,7 @@ def _listed(spec: Spec, catalog: Catalog, admissible: Filtered, measured: Mappin
             raise InvalidInput(
                 f"spec.benchmark.machines: {name} could never be chosen: spec.{field} does not admit it{has}",
                 f"admit it in spec.{field}, or leave it out",
+                *filter(None, [admissible.left_out_line() if field == "hardware.allow" else None]),
             )
         samples += found
     return Design(tuple(samples), ())

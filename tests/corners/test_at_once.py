@@ -49,7 +49,7 @@ def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Together]:
 
 def listed(shell: Shell, count: int) -> list[str]:
     """Write a spec that lists so many machines, and return their names."""
-    names = [f"m{number}.large" for number in range(count)]
+    names = [f"m5.{number}xlarge" for number in range(count)]
     shell.write("offers.csv", CATALOG + "".join(f"{one},,,2,4,0.1{at:02},,r1,\n" for at, one in enumerate(names)))
     shell.write("specs/work.py", WORK)
     stop = "warmup: 0, stop: {requests: 5, duration: 1min}, ready_timeout: 10min"

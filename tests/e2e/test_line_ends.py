@@ -51,6 +51,13 @@ def test_what_is_advised_mends_it_and_nothing_is_measured_again(repository: Shel
     clone("check", "demo")
 
 
+def test_a_file_whose_mode_changed_has_its_line_ends(repository: Shell) -> None:
+    (repository.folder / "specs/work.py").chmod(0o755)
+    found = repository("status", "demo", code=None)
+    assert SAYS not in found.out + found.err
+    assert "work.py changed" in found.out
+
+
 def test_a_file_that_was_also_edited_is_another(repository: Shell) -> None:
     clone = cloned(repository)
     path = clone.folder / "specs/work.py"

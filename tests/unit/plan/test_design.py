@@ -115,7 +115,10 @@ def test_a_listed_machine_that_can_never_be_chosen_is_an_error(
     offers = (*OFFERS, "g4dn.12xlarge,T4,4,48,192,3.912,,us-east-1,a", "t3.large,,,2,8,0.083,,us-east-1,a")
     with pytest.raises(InvalidInput, match=f"{name} could never be chosen: spec.{says}") as caught:
         picked(application(hardware, machines=[name]), table(*offers))
-    assert caught.value.hints == (f"admit it in spec.{says.split(' ')[0]}, or leave it out",)
+    hint, *more = caught.value.hints
+    assert hint == f"admit it in spec.{says.split(' ')[0]}, or leave it out"
+    assert bool(more) == (name == "t3.large")
+    assert all(one.endswith("to admit them: spec.hardware.allow: [standard, burstable]") for one in more)
 
 
 def test_an_unknown_listed_machine_is_a_mistake_with_a_suggestion() -> None:
