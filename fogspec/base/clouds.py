@@ -316,8 +316,8 @@ def split_infra(infra: str) -> list[str]:
 
 def is_zone_id(infra: str) -> bool:
     """Return whether `cloud/region/zone` ends in an id of a zone, which SkyPilot takes by the account's name for it."""
-    pattern, (*_, zone) = cloud_of(infra).zone_id, split_infra(infra)
-    return pattern is not None and re.fullmatch(pattern, zone) is not None
+    pattern, places = cloud_of(infra).zone_id, split_infra(infra)
+    return pattern is not None and len(places) == 3 and re.fullmatch(pattern, places[2]) is not None
 
 
 def is_zone(infra: str) -> bool:

@@ -45,6 +45,7 @@ REQUESTS_SHOWN, REQUESTS_TEXT = 1000, "1,000 requests"  # whose cost people are 
 
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 LONG_S = 60.0
+LONGEST = 2000  # characters of a quantity, which patterns are tried on; the smallest float has 1,100
 DURATION_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 MEMORY_GIB = {"MiB": 2.0**-10, "GiB": 1.0, "TiB": 1024.0}  # no GB: 16GB is written for a machine of 16 GiB
 
@@ -225,14 +226,14 @@ def _meant_range(text: str, parse: Callable[[Any], float]) -> UnitError | None:
 
 def _meant_least(text: str, parse: Callable[[Any], float]) -> UnitError | None:
     """Return the error of `16+`, as SkyPilot writes a least value, or `>=16`; None for other text."""
-    match = re.fullmatch(rf"({NUMBER}\s*\w*)\s*\+|(?:>=|≥)\s*({NUMBER}\s*\w*)", text)
+    match = re.fullmatch(rf"({NUMBER}\s?\w*)\s?\+|(?:>=|≥)\s?({NUMBER}\s?\w*)", text)
     least = _end((match[1] or match[2]).strip(), parse)[1] if match else None
     return UnitError("must be a range with '..', here without an upper end", f"{least}..") if least else None
 
 
 def _decimal_comma(text: str) -> UnitError | None:
     """Return the error of `1,5s`; None for other text, and for `1,500ms`, which may be either."""
-    if not re.fullmatch(r"\D*\d+,(\d{1,2}|\d{4,})\s*\D*", text):
+    if not re.fullmatch(r"\D*\d+,(\d{1,2}|\d{4,})\D*", text):
         return None
     return UnitError("must have a point before its decimals", text.replace(",", "."))
 
@@ -251,6 +252,8 @@ def _body(text: Any) -> str:
         raise UnitError("must be written as one string, such as 2s, 4GiB or $2.50", None, "FS303")
     if not isinstance(text, str) and not math.isfinite(text):
         raise UnitError("must be finite")
+    if isinstance(text, str) and len(text) > LONGEST:
+        raise UnitError(f"must have at most {LONGEST} characters")
     return format_number(text) if isinstance(text, (int, float)) else text.strip()
 
 

@@ -98,10 +98,8 @@ def command(
 
         say_text(text(found.approved), end="")
     if found.approved:
-        left = [] if repository is None else _not_staged(repository, [one for one in loaded if one.name in wanted])
-        apply = f"apply{' --resolve-image' if resolve_image else ''} deploys what is"
-        more = f" and {len(left) - 1} more" if len(left) > 1 else ""
-        note(f"{apply} here; not part of the commit yet: {left[0]}{more}" if left else f"{apply} committed")
+        resolving = " --resolve-image" if resolve_image else ""
+        note(f"apply{resolving} deploys what is {_deployed(repository, [one for one in loaded if one.name in wanted])}")
 
 
 def _base(since: str | None) -> "tuple[Repository | None, str | None, bool]":
@@ -122,15 +120,16 @@ def _base(since: str | None) -> "tuple[Repository | None, str | None, bool]":
         return repository, None, True  # there is no commit yet: all of it is new
 
 
-def _not_staged(repository: "Repository", judged: "Sequence[LoadedSpec]") -> list[str]:
-    """Return the compiled files, results and locks of these applications that the next commit lacks as they are here."""
-    ours = [
-        os.path.realpath(path) for one in judged for path in (one.layout.compiled, one.layout.results, one.layout.lock)
-    ]
-    found = (os.path.realpath(path) for path in repository.not_staged() if path.suffix != ".html")  # reports
-    return sorted(
-        os.path.relpath(path) for path in found if any(path == one or path.startswith(f"{one}{os.sep}") for one in ours)
-    )
+def _deployed(repository: "Repository | None", judged: "Sequence[LoadedSpec]") -> str:
+    """Return what apply deploys: what is committed, unless the next commit lacks compiled files, results or locks of these."""
+    ours = [path for one in judged for path in (one.layout.compiled, one.layout.results, one.layout.lock)]
+    try:
+        found = [] if repository is None else repository.not_staged(filter(os.path.exists, ours))
+    except UsageError:
+        return "here"
+    left = sorted(os.path.relpath(os.path.realpath(path)) for path in found if path.suffix != ".html")  # a report
+    more = f" and {len(left) - 1} more" if len(left) > 1 else ""
+    return f"here; not part of the commit yet: {left[0]}{more}" if left else "committed"
 
 
 def _specs(specs: Sequence[str], gone: Sequence[str]) -> "tuple[list[LoadedSpec], list[Diagnostic]]":

@@ -15,7 +15,7 @@ from fogspec.language.rules.policies import FOLDER, SUFFIX
 
 LONGEST_TEXT = 500  # to look for in the history
 UNKNOWN_BASE = (
-    "where this change starts is not in this shallow clone: what others merged since {} is in it, too; "
+    "where this change starts is not in this clone: what others merged since {} is in it, too; "
     "git fetch --unshallow, or fetch-depth: 0 for actions/checkout"
 )
 PRICES = ".csv"  # how a price list ends, in whatever folder
@@ -69,21 +69,22 @@ class Repository:
 
     def changed(self, commit: str) -> list[Path]:
         """Return the files that differ between a commit and the checkout, those that git does not know yet included."""
-        return self._differing(commit)
+        return self._differing([":/"], commit)
 
-    def not_staged(self) -> list[Path]:
-        """Return the files that the next commit lacks as they are here, those that git does not know yet included.
+    def not_staged(self, below: Iterable[Path]) -> list[Path]:
+        """Return the files in these places that the next commit lacks as they are here, also those that git does not know yet.
 
-        In a hook of git's, the next commit is the one that is being made.
+        In a hook of git's, the next commit is the one that is being made. Raise UsageError for a place outside.
         """
         index = os.path.abspath(os.environ.get("GIT_INDEX_FILE", ""))  # of a hook, which git starts at the top
         own = os.path.dirname(index) == git("rev-parse", "--absolute-git-dir").decode().strip()
-        return self._differing(index=index if own else None)
+        places = [f":(literal){os.path.abspath(path)}" for path in below]
+        return self._differing(places, index=index if own else None) if places else []
 
-    def _differing(self, *commit: str, index: str | None = None) -> list[Path]:
+    def _differing(self, places: Sequence[str], *commit: str, index: str | None = None) -> list[Path]:
         plain = ("--name-only", "-z", "--no-ext-diff", "--no-textconv", "--no-renames", "--no-relative")
-        names = git("diff", *plain, *commit, "--", index=index).split(b"\0")
-        others = ("ls-files", "--others", "--exclude-standard", "--full-name", "-z", "--", ":/")
+        names = git("diff", *plain, *commit, "--", *places, index=index).split(b"\0")
+        others = ("ls-files", "--others", "--exclude-standard", "--full-name", "-z", "--", *places)
         names += git(*others, index=index).split(b"\0")
         return [self.top / os.fsdecode(name) for name in dict.fromkeys(names) if name]
 

@@ -601,8 +601,8 @@ def test_where_the_base_cannot_be_known_that_is_said_first_and_nothing_is_to_be_
         clone("check", "--since", stale[base], code=None),
         clone("diff", "--since", stale[base], code=None).out,
     )
-    assert checked.err.startswith("warning: where this change starts is not in this shallow clone: ")
-    assert told.startswith("warning: where this change starts is not in this shallow clone: ")
+    assert checked.err.startswith("warning: where this change starts is not in this clone: ")
+    assert told.startswith("warning: where this change starts is not in this clone: ")
     assert says in json.loads(clone("diff", "--since", stale[base], "-o", "json", code=None).out)["warning"]
     for found in (text, told, checked.out, checked.err):
         assert "down" not in found

@@ -104,7 +104,7 @@ def test_what_a_way_out_names_is_one(shell: Shell) -> None:
 
 def test_a_limit_that_all_machines_miss_is_too_slow(shell: Shell) -> None:
     measured(shell, *CLOSE, code=7, constraints="{latency: 1s}")
-    # Nobody is asked to take a machine off the list that is paid already.
+    # What is paid already may stay in the list.
     narrower = {"benchmark": LIST, "constraints": "{latency: 100ms}", "hardware": "{cpus: 8..8}"}
     shell.write("specs/demo.yaml", spec(**(BOX | narrower)))
     ended = shell(*COMPILE, code=4)

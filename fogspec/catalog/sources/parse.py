@@ -64,12 +64,13 @@ def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog
     offers = _priced(*gcp.joined(_unpriced(machines), spot))
     once = offers.merged()
     if repeated := len(offers) - len(once):
-        notes.append(f"{path}: {repeated:,} offers are repeated: the highest price of each counts")
+        are = "offer is" if repeated == 1 else "offers are"
+        notes.append(f"{path}: {repeated:,} {are} repeated: the highest price of each counts")
         other = (np.diff(offers.vcpus, prepend=0) != 0) | (np.diff(offers.memory_gib, prepend=0) != 0)
         if (rows_of := np.flatnonzero(offers.repeated() & other)).size:
             name = offers.instance[rows_of[0]]
             notes.append(
-                f"warning: {path}: {name} has two sizes: the size of the cheaper row counts, of two the smaller"
+                f"warning: {path}: {name} has two sizes: the size of the cheaper row counts, at one price the smaller"
             )
     found = replace(about, digest=digest(content), notes=tuple(notes), core_hours=core_hours)
     return replace(once, about=found)

@@ -56,4 +56,6 @@ def _names(path: Path) -> tuple[dict[str, str], str]:
     except OSError as problem:
         raise InvalidInput(f"{path}: the names of zones cannot be read: {problem.strerror}") from None
     rows = parse_csv(content, str(path), (ID, NAME), code="FS401", what="a list of zones")
-    return dict(zip(rows.column(ID), rows.column(NAME), strict=True)), digest.of_bytes(content)
+    names = dict(zip(rows.shared(ID).tolist(), rows.shared(NAME).tolist(), strict=True))
+    rows.check()
+    return names, digest.of_bytes(content)

@@ -306,6 +306,12 @@ def test_a_decimal_comma_is_mended_where_it_can_be_nothing_else(parse, text: str
     assert wrong.value.fix == fix
 
 
+def test_a_text_that_patterns_would_be_tried_on_for_hours_is_refused_at_once() -> None:
+    for text in ("1" + " " * 10**6 + "x9", "1,5" + " " * 10**6 + "1", "1" * 10**6 + "+x"):
+        with pytest.raises(UnitError, match="at most 2000 characters"):
+            units.parse_range(text, units.parse_memory_gib)
+
+
 def test_a_deployment_lasts_longer_than_no_time() -> None:
     assert units.check_until(" 1s ") == "1s"
     with pytest.raises(UnitError, match="more than zero"):

@@ -145,7 +145,10 @@ def test_the_memory_of_an_accelerator_is_in_gib_where_skypilots_list_has_gib() -
 def test_two_sizes_of_one_type_are_said() -> None:
     rows = ["D8as,,,8,32,0.344,,westus3,", "D8as,,,8,64,0.344,,westus3,"]
     said = table(*rows).about.notes
-    assert said[1] == "warning: offers.csv: D8as has two sizes: the size of the cheaper row counts, of two the smaller"
+    assert (
+        said[1]
+        == "warning: offers.csv: D8as has two sizes: the size of the cheaper row counts, at one price the smaller"
+    )
     assert table(*rows).memory_gib.tolist() == table(*reversed(rows)).memory_gib.tolist() == [32]
     assert len(table(rows[0], rows[0], rows[1].replace("D8as", "D16as")).about.notes) == 1
 

@@ -4,13 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.catalog.filters import filter_offers, price_now
 from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.language.loader import check_text
 from fogspec.language.schema import Hardware
 from tests.support.catalogs import HEAD, table
+from tests.unit.catalog.test_names import SPEC
 
 BY_ID = (
     "c6i.large,,,2,4,0.085,0.031,us-east-1,use1-az1",
@@ -18,16 +19,11 @@ BY_ID = (
     "c6i.xlarge,,,4,8,0.17,,us-east-1,use1-az3",
 )
 NAMES = "AvailabilityZone,AvailabilityZoneName\nuse1-az1,us-east-1b\nuse1-az2,us-east-1a\n"
-SPEC = """\
-apiVersion: fogspec.dev/v1alpha1
-kind: Application
-metadata: {{ name: arm }}
-spec:
-  cloud: [{{ cmd: [plan] }}]
-  probe: {{ callback: plan }}
-  infra: ["{}"]
-  benchmark: {{ budget: $2.50 }}
-"""
+
+
+def errors(infra: str) -> list[Diagnostic]:
+    text = SPEC.format(infra=infra, allow="standard", gpus="none", machines="")
+    return [one for one in check_text(text.encode(), "spec.yaml")[1] if one.severity == "error"]
 
 
 def skypilot(folder: Path, **accounts: str) -> Catalog:
@@ -96,8 +92,8 @@ def test_a_row_without_a_zone_is_in_every_one_of_its_region() -> None:
 
 @pytest.mark.parametrize("zone", ["use1-az1", "usw2-lax1-az1"])
 def test_a_spec_names_a_zone_as_skypilot_takes_it(zone: str) -> None:
-    _, [found] = check_text(SPEC.format(f"aws/us-east-1/{zone}").encode(), "spec.yaml")
-    assert found.severity == "error"
+    [found] = errors(f"aws/us-east-1/{zone}")
     assert found.message == f"spec.infra[0] must have a zone's name, and aws/us-east-1/{zone} ends in an id"
     assert "write 'aws/us-east-1' for all zones, or the name that yours has" in str(found.fix)
-    assert not check_text(SPEC.format("aws/us-east-1/us-east-1a").encode(), "spec.yaml")[1]
+    assert not errors("aws/us-east-1/us-east-1a")
+    assert not errors(f"aws/{zone}"), "no zone; whether a region, the catalog says"
